@@ -1,10 +1,10 @@
-"""`metasense design` against what others offer, on the real bodies of schemas/sweeps/design-two-core.toml: the table of results/README.md.
+"""`metasense design` against other search methods, on the bodies of schemas/sweeps/design-two-core.toml: a table of results/README.md.
 
     pip install . optuna scipy && python orchestrator/bench/race_design.py 25 71 72 73 74 >> rows.csv
 
-The searches of searches.py ask for the same looks (error on the test set at the same outer steps), results (the worst of the casts)
-and fresh seeds; paused trials keep their checkpoints and go on. Each has a database of its own; what it has paid is the CPU time of
-its workers, as recorded there. One worker; pin it to a core.
+The searches of searches.py use the same evaluations (error on the test set at the same outer steps), results (the worst of the casts)
+and fresh seeds. Paused trials keep their checkpoints and resume. Each search has its own database, which records the CPU time of its
+workers. One worker; pin it to a core.
 """
 import csv
 import json

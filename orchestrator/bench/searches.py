@@ -1,10 +1,12 @@
-"""Made-up spaces of orchestrator/analysis/src/goal/tests.rs, searched by what others offer: the comparison of docs/explanation/statistics.md.
+"""Other search methods on the synthetic spaces of orchestrator/analysis/src/goal/tests.rs: the comparison in
+docs/explanation/statistics.md.
 
     SPACES=50 SPACES_FILE=spaces.json cargo test -p metasense-analysis --lib goal::
     pip install optuna numpy scipy && python orchestrator/bench/searches.py spaces.json
 
-Each search goes up in M, and for the same M in multiply-adds, and looks for the least error among the candidates there. A result that
-meets the requirement is screened on 4 fresh seeds and confirmed on 8 others, as metasense does; the first confirmed design is the end.
+Each search proceeds by increasing M, for equal M by increasing multiply-adds, and minimises the error among the candidates there. A
+result that meets the requirement is screened on 4 fresh seeds and confirmed on 8 others, as in metasense. The search ends with the first
+confirmed design.
 """
 import json
 import math

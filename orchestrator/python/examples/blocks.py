@@ -1,7 +1,7 @@
-"""A geometry of DifFlexMM as a body, and back: `python blocks.py SPEC` of a small Kagome lattice, if DifFlexMM is installed.
+"""Converts a geometry of DifFlexMM into a body, and back: `python blocks.py SPEC` for a small Kagome lattice, if DifFlexMM is installed.
 
 DifFlexMM (github.com/bertoldi-collab/DifFlexMM) describes a body by the centroids of its blocks, the vectors from there to their nodes,
-and which nodes bonds join, counted through all blocks. `body.file` reads these arrays; `arrays` gives those of a trained design.
+and the nodes that bonds join, numbered over all blocks. `body.file` reads these arrays; `arrays` returns those of a trained design.
 """
 
 import sys

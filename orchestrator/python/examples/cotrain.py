@@ -1,7 +1,7 @@
-"""Co-trains a body with a network of one's own, written in JAX: `python cotrain.py SPEC [STEPS]`.
+"""Trains a body together with a network of your own, written in JAX: `python cotrain.py SPEC [STEPS]`.
 
-The network is a causal filter: it says the force at an instant by the 15 instants before it. Body and network go down the
-same loss by Adam, each at its own rate, and after every step the body goes to the nearest one that can be cast.
+The network is a causal filter: it estimates the force at an instant from the last 15 instants. Adam reduces the loss of body and
+network, each with its own rate. After each step, the design is projected onto the nearest design that can be cast.
 """
 
 import sys

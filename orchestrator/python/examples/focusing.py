@@ -1,8 +1,9 @@
-"""Kinetic energy that all units' shapes focus on a few: `python focusing.py kagome|quads [EVALUATIONS]`, with JAX.
+"""Maximises the kinetic energy of a few units over the shapes of all units: `python focusing.py kagome|quads [EVALUATIONS]`, with JAX.
 
-DifFlexMM's problems kagome_focusing and quads_focusing (github.com/bertoldi-collab/DifFlexMM, PLA with shims): the corners are held, two
-units of the left edge go half a cell to the right and back, and the mean kinetic energy of the target is maximised in the places of all
-nodes, by moving asymptotes (mma.py) with limits on angles and edges. Objective and limits are JAX, the body, its motion and gradient ours.
+DifFlexMM's problems kagome_focusing and quads_focusing (github.com/bertoldi-collab/DifFlexMM, PLA with shims): the corners are held, and
+two units of the left edge move half a cell to the right and back. The mean kinetic energy of the target is maximised over the positions
+of all nodes, by moving asymptotes (mma.py) with limits on angles and edges. Objective and limits are written in JAX; metasense computes
+the motion and its gradient.
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""A virtual laboratory: files as a hammer's recorder and two IMUs write them, of bodies that the model does not contain.
+"""A virtual laboratory: files of a hammer's recorder and of two IMUs, for bodies that the model does not contain.
 
-Bodies are integrated here, by other code than the program's: ligaments relax (Maxwell), casts scatter, bend stiffens at its stop, chips
-have cables, and damping is in the ligaments. Instruments have noise, offsets, steps, ranges, own clocks and a finite bandwidth.
+This script integrates the bodies with its own code: ligaments relax (Maxwell), casts deviate, bending stiffens at a stop, chips have
+cables, and damping is in the ligaments. Instruments have noise, offsets, resolution, ranges, their own clocks and a finite bandwidth.
 """
 
 import sys

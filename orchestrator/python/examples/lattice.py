@@ -1,11 +1,11 @@
-"""metasense's own body once more, in JAX: rotated squares joined by ligaments, as a body of one's own.
+"""The body model of metasense in JAX, as an external body: rotated squares joined by ligaments.
 
     [body]
     kind = "external"
     command = ["python3", "lattice.py", "6", "6", "1e-8"]   # columns, rows, density (Mg/mm²)
 
-Equations of MODEL.md without contact, by Runge and Kutta's method with equal steps. Units: mm, N, s, Mg. The bottom row is held,
-forces push the units of the top row down, sensors can be on every free unit.
+Equations of MODEL.md without contact, integrated by a Runge-Kutta method with equal steps. Units: mm, N, s, Mg. The bottom row is held,
+forces push the units of the top row down, and every free unit can carry a sensor.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The method of moving asymptotes (MMA) for many sparse limits: K. Svanberg, SIAM J. Optim. 12 (2002) 555–573.
 
-Steps are those of NLopt's MMA, which takes the limits' slopes as a dense matrix and minutes for a step under some thousands: these here
-are SciPy's sparse ones.
+The steps are those of NLopt's MMA. NLopt uses a dense matrix of the limits' slopes and needs minutes per step for thousands of limits;
+this module uses SciPy's sparse matrices.
 """
 
 import numpy as np

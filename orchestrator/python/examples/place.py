@@ -1,7 +1,7 @@
-"""Where sensors are best for a linear brain: `python place.py SPEC [SENSORS]`.
+"""Finds the best sensor units for a linear decoder: `python place.py SPEC [SENSORS]`.
 
-Every unit that can move carries a sensor in one simulation; then, one after another, the sensor is added with which a linear
-brain fitted to the training samples reads the test samples best. Chips must have no mass: here each unit would bear one.
+In one simulation every free unit carries a sensor. Sensors are then added one by one: each time the sensor with which a linear decoder,
+fitted to the training samples, has the least error on the test samples. Chips must have no mass, because each unit would carry one.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""A vibrating plate whose thickness is trained: a body of one's own, by finite differences in JAX.
+"""A vibrating plate whose thickness is trained: an external body, by finite differences in JAX.
 
     metasense run orchestrator/python/examples/plate.toml
 
@@ -6,7 +6,7 @@ Kirchhoff's plate, simply supported at its edges, on a grid of N × N points (mm
 
     ρ h w'' + c ρ h₀ w' + Δ(D Δ w) = f        D = E h³ / 12 (1 − ν²)
 
-The design is the thickness at each point; its mean, and so the mass, stays. Accelerometers can be at every point.
+The design is the thickness at each point; its mean, and so the mass, is constant. Every point can carry an accelerometer.
 """
 
 import os

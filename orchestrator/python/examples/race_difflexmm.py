@@ -1,7 +1,8 @@
-"""focusing.py and DifFlexMM's own problem in turn, from one start: `taskset -c 0 python race_difflexmm.py CLONE kagome|quads [EVALUATIONS]`.
+"""Compares focusing.py with DifFlexMM, alternately and from the same start: `taskset -c 0 python race_difflexmm.py CLONE kagome|quads
+[EVALUATIONS]`.
 
-CLONE is a clone of github.com/bertoldi-collab/DifFlexMM. Settings are those of its notebooks *_focusing_3dp_pla_shims; optimiser and
-limits are focusing.py's for both. Times are CPU seconds of a value with its gradient, without compilation, all threads together.
+CLONE is a clone of github.com/bertoldi-collab/DifFlexMM. Settings are those of its notebooks *_focusing_3dp_pla_shims; both use the
+optimiser and limits of focusing.py. Times are CPU seconds for a value with its gradient, over all threads, without compilation.
 """
 
 import sys

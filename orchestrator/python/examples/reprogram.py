@@ -1,7 +1,7 @@
-"""One body, two tasks: a press decides where a blow is felt. `python reprogram.py [STEPS]`, with JAX.
+"""One body for two tasks, selected by compression: `python reprogram.py [STEPS]`, with JAX.
 
-A blow on the left moves the upper right of the body as it is cast, and the lower right once its ends have been brought together by 4 %: one
-design is trained for both, as in arXiv:2403.08078. Motions and their gradients are ours, the objective is JAX.
+A blow on the left moves the upper right of the body as cast, and the lower right after its ends are moved together by 4 %. One design is
+trained for both (after arXiv:2403.08078). metasense computes motions and gradients; the objective is written in JAX.
 """
 
 import sys
