@@ -22,7 +22,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m metasense.records",
         description=inspect.cleandoc(convert.__doc__).replace("`", ""),
-        epilog="An argument of convert is the option of its name with dashes. A column that consists of digits is a number.",
+        epilog="Options are the arguments of convert, with dashes for underscores. Digits select a column by its number.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
