@@ -524,7 +524,7 @@ def four_forces(name, file):
     told_of = rated([[math.log(x) for x in ratios] for _, four in found for ratios in four], math.exp, ("holds", "fails"))
     for n, (line, (of, four)) in enumerate(zip(lines, found)):
         main = [row for row in of if row["placement"] not in "45"]
-        found = (f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 2, False)]}" for shares in ends(main)[0])
+        found = (f"{votes_in_words(shares)} ({IN_MAP[verdict(shares, 2, False)]})" for shares in ends(main)[0])
         yield line[1:], [errors_by_sensors(main), *found, *told_of[4 * n : 4 * n + 4]]
 
 
@@ -608,7 +608,7 @@ def eight_forces_map():
     for n, line in enumerate(table("eight forces map")):
         of = rows("eight-forces-map/trials.csv", brain=brains[line[0]])
         shares = ends(of)[0][2]
-        yield line[1:], [errors_by_sensors(of), f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 4, False)]}", *told[2 * n : 2 * n + 2]]
+        yield line[1:], [errors_by_sensors(of), f"{votes_in_words(shares)} ({IN_MAP[verdict(shares, 4, False)]})", *told[2 * n : 2 * n + 2]]
 
 
 def disc_map():

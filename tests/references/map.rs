@@ -179,7 +179,7 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {
         let curve = curve(rows.iter().copied().filter(|row| is_first_placement(row)), "optimised");
         let told = readings(&curve)
-            .map(|votes| format!("{}: {}", words(&votes), in_map(verdict(&votes, 2.0, false))));
+            .map(|votes| format!("{} ({})", words(&votes), in_map(verdict(&votes, 2.0, false))));
         let mut cells = vec![(*words_of).to_owned(), errors(&curve)];
         cells.extend(told);
         cells.extend_from_slice(&ratios[4 * s..][..4]);
@@ -211,7 +211,7 @@ pub fn eight_forces() -> String {
     let line = |(b, (brain, words_of)): (usize, (&str, &str))| {
         let curve = curve(of(&all, &[("brain", brain)]), "optimised");
         let votes = by_fall(&curve);
-        let fall = format!("{}: {}", words(&votes), in_map(verdict(&votes, 4.0, false)));
+        let fall = format!("{} ({})", words(&votes), in_map(verdict(&votes, 4.0, false)));
         [vec![words_of.to_owned(), errors(&curve), fall], said[2 * b..][..2].to_vec()].concat()
     };
     let head = [
