@@ -109,7 +109,7 @@ pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let (at, first) = &designs[0];
     let still = Sketch { held: Vec::new(), ..first.clone() };
     let view = frame(designs.iter().map(|design| &design.1));
-    let still = still.picture(view, "The body from step to step", Numbers::None);
+    let still = still.picture(view, "The body during training", Numbers::None);
     // corners that ligaments join; then one line per design: step, all corners, displacements of panels and sensors (mm)
     let corner = |unit: usize| first.units[..unit].iter().map(Vec::len).sum::<usize>();
     let joints = first.joints.iter().flatten().map(|&(unit, node)| (corner(unit) + node).to_string());

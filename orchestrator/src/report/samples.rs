@@ -209,7 +209,7 @@ impl Replayed {
         let drawn = Body::ALL.map(|body| {
             (format!("{} body", body.word()), body.name().to_owned(), self.bodies[body as usize].clone())
         });
-        body::figure("bodies", "The body before and after", caption, &drawn)
+        body::figure("bodies", "The body before and after training", caption, &drawn)
     }
 
     /// A sentence about overlaps of the trained body if designs are not limited.

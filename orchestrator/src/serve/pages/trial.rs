@@ -350,7 +350,7 @@ fn course_of(trial: &Trial) -> Markup {
     let open = ["pending", "running"].contains(&trial.state.as_str());
     html! {
         @if designs.len() > 1 || open && !designs.is_empty() {
-            h2 id="course" { "The body from step to step" }
+            h2 id="course" { "The body during training" }
             figure {
                 div class="plots" { div { (course(&designs, steps)) } }
                 figcaption { "The design after selected outer steps, with interpolation between them. Panels and sensors move with it." }
@@ -377,7 +377,7 @@ fn time(trial: &Trial) -> Markup {
     let all: f64 = sums.iter().map(|part| part.1).sum();
     html! {
         @if all > 0.0 {
-            h2 { "CPU time of " (counted(count.as_u64().unwrap_or(0) as usize, "step")) " went" }
+            h2 { "CPU time of " (counted(count.as_u64().unwrap_or(0) as usize, "step")) }
             table class="parts" {
                 thead { tr { th class="text" { "part" } th { "CPU seconds" } th { "share (%)" } th class="text" {} } }
                 tbody { @for (part, seconds) in sums {
