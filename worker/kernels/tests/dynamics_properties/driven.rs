@@ -144,7 +144,7 @@ fn gradients_beside_a_driven_unit_are_those_of_differences() {
     }
 }
 
-/// The forces of a scene with a driven unit has no linearisation's ligaments do work on the body: unstable steps are detected, and stable ones are not rejected. Vibrations
+/// The forces of a driven unit's ligaments do work on the body: unstable steps are detected, and stable ones are not rejected. Vibrations
 /// with the tolerated 1/20 of the work are many times the signals here, because most work bends ligaments.
 #[test]
 fn a_driven_unit_hides_no_instability() {
