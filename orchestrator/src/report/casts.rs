@@ -29,7 +29,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         format!(
             "Held-out error on casts that were not used in training and vary according to [variation]. Dots: \
              the median cast; lines: up to the 90th percentile; geometric means over trials. First position: the body \
-             as designed. Others: decoders fitted to the body as designed, to other casts, and \
+             as designed. Others: decoders fitted to the body as designed (for design), to other casts (for casts), and \
              to these casts and records of each cast. Trained: for the body as designed (nominal), or over casts, by \
              objective and by one decoder for all casts or one for each.{}",
             left_out(found.len(), MOST_SETTINGS)
@@ -136,10 +136,10 @@ fn subset_note() -> String {
 
 fn tick(by: CastDecoder) -> String {
     match by {
-        CastDecoder::Network => "design's network".into(),
-        CastDecoder::NetworkCasts => "network for all".into(),
-        CastDecoder::Nominal => "design's linear".into(),
-        CastDecoder::Casts => "linear for all".into(),
+        CastDecoder::Network => "network, design".into(),
+        CastDecoder::NetworkCasts => "network, casts".into(),
+        CastDecoder::Nominal => "for design".into(),
+        CastDecoder::Casts => "for casts".into(),
         CastDecoder::Records(records) => format!("{records} records"),
         CastDecoder::Inverse => "model".into(),
         CastDecoder::TwinLinear(records) => format!("linear, twin of {records}"),
