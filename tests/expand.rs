@@ -35,6 +35,36 @@ fn seeds_may_have_placements_of_their_own() {
     assert_eq!((own.len(), own), (8, grid));
 }
 
+/// Settings of the file that overrides have made irrelevant are left out with a warning, and the trials are those of the whole sweep.
+/// A key that the file itself does not use, or that the command line sets, is refused.
+#[test]
+fn a_narrowed_sweep_leaves_out_what_it_does_not_use() {
+    let bench = Bench::new();
+    let axis = "\"brain.kind\" = [\"cnn\", \"linear\"]\n";
+    bench.file("s.toml", &TINY.replace("[sweep]\n", &format!("[sweep]\n{axis}")));
+    let hashes = |changes: &[&str]| -> Vec<String> {
+        let csv = bench.output(&[&["expand", "s.toml", "--format", "csv"], changes].concat());
+        csv.lines().skip(1).map(|line| line[..32].to_owned()).collect()
+    };
+    let (all, narrow) = (hashes(&[]), "sweep.\"brain.kind\"=[\"linear\"]");
+    let linear = hashes(&[narrow]);
+    assert!(linear.len() < all.len() && linear.iter().all(|hash| all.contains(hash)), "{linear:?}, {all:?}");
+    let said = |changes: &[&str]| {
+        let output = bench.metasense(&[&["expand", "s.toml"], changes].concat());
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, text) = said(&[narrow]);
+    assert!(
+        code == Some(0) && text.contains("warning: ") && text.contains("brain.iterations = 10"),
+        "{text}"
+    );
+    let (code, text) = said(&[narrow, "brain.iterations=11"]);
+    assert!(code == Some(2) && text.contains("brain.iterations = 11"), "{text}");
+    bench.file("s.toml", &TINY.replace("iterations = 10", "iterations = 10\nridge = 0.1"));
+    let (code, text) = said(&["sweep.seeds=[3]"]);
+    assert!(code == Some(2) && text.contains("brain.ridge = 0.1"), "{text}");
+}
+
 /// A mixture of forces has hundreds of characters: complete for programs, only its beginning in tables.
 #[test]
 fn long_values_are_cut_where_people_read() {

@@ -5,6 +5,7 @@
 
 mod axes;
 mod brains;
+mod combinations;
 pub mod cost;
 pub mod goal;
 mod size;
@@ -30,6 +31,7 @@ use serde_json::Value;
 use crate::cell::plain;
 use crate::control::WORKERS_MAX;
 use axes::Combination;
+use combinations::Combinations;
 use metasense_schemas::record::Parts;
 pub use metasense_schemas::record::Trial;
 
@@ -45,6 +47,8 @@ pub struct Plan {
     pub spec: SweepSpec,
     /// The trials, in the order in which they run.
     pub trials: Vec<Trial>,
+    /// Keys of the file that overrides have made irrelevant, with the reason; `source` does not contain them.
+    pub left_out: Vec<String>,
 }
 
 /// Values of a trial's spec at the given keys; lists and tables as text, missing keys as null.
@@ -82,11 +86,7 @@ impl Plan {
     /// # Errors
     /// As [`Plan::new`].
     pub fn of(source: Source) -> Result<Self, SpecError> {
-        let spec = until::grid(source.parse()?, &source)?;
-        check_sweep(&spec, &source)?;
-        goal::check(&spec, &source)?;
-        let combinations = axes::combinations(&spec, &source)?;
-        brains::refuse_unread(combinations.iter().map(|combination| &combination.spec), &source)?;
+        let Combinations { source, spec, combinations, left_out } = Combinations::of(source)?;
         let mut points = Vec::new();
         let added = combinations.iter().try_for_each(|one| add_points(&spec, &source, one, &mut points));
         external::end(); // workers start processes of their own
@@ -96,7 +96,7 @@ impl Plan {
             return Err(source.error("sweep.exclude", "excludes all trials"));
         }
         until::check(spec.until.as_ref(), &trials, &source)?;
-        Ok(Self { source, spec, trials })
+        Ok(Self { source, spec, trials, left_out })
     }
 
     /// A plan with trials that were expanded earlier.
@@ -105,7 +105,7 @@ impl Plan {
     /// If the spec is invalid.
     pub fn listed(source: Source, trials: Vec<Trial>) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
-        Ok(Self { source, spec, trials })
+        Ok(Self { source, spec, trials, left_out: Vec::new() })
     }
 
     /// The only trial whose hash starts with `hash`.

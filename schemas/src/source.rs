@@ -17,7 +17,7 @@ mod layers;
 
 pub use keys::KnownKeys;
 pub use layers::each_file;
-use layers::{Layer, merged};
+use layers::{Layer, comments, merged};
 
 /// An error in a spec file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -83,9 +83,7 @@ impl Source {
         if layers.len() == 1 {
             return Ok(own);
         }
-        let (text, places) = merged(&layers, &own.file)?;
-        let flat = Layer { file: own.file.clone(), text: text.clone() }.places(0)?;
-        let all = Self { file: own.file, text, layers, places, flat };
+        let all = Self::of_layers(layers, &own.file)?;
         let changed = all.places.iter().filter(|place| place.layer < changes.len() && !place.is_table);
         for place in changed {
             if let Some(remedy) = all.set_by_sweep(&place.key) {
@@ -93,6 +91,36 @@ impl Source {
             }
         }
         Ok(all)
+    }
+
+    /// The file and its bases alone; `None` without overrides.
+    #[must_use]
+    pub fn without_overrides(&self) -> Option<Self> {
+        let first = self.layers.iter().position(|layer| !layer.is_override())?;
+        let layers = self.layers[first..].to_vec();
+        (first > 0).then(|| Self::of_layers(layers, &self.file).ok()).flatten()
+    }
+
+    /// The spec without a key of the file or its bases; `None` if they do not contain it or an override sets it.
+    #[must_use]
+    pub fn without_key(&self, key: &str) -> Option<Self> {
+        let place = self.places.iter().find(|place| place.key == key)?;
+        let (head, mut all) = (comments(&self.text), toml::from_str::<toml::Table>(&self.text).ok()?);
+        let mut tables = key.split('.').rev();
+        let (last, tables) = (tables.next()?, tables.rev());
+        let table =
+            tables.into_iter().try_fold(&mut all, |table, name| table.get_mut(name)?.as_table_mut())?;
+        table.remove(last).filter(|_| !self.layers[place.layer].is_override())?;
+        let text = head + &toml::to_string(&all).ok()?;
+        let flat = Layer { file: self.file.clone(), text: text.clone() }.places(0).ok()?;
+        let places = self.places.iter().filter(|place| place.key != key).cloned().collect();
+        Some(Self { file: self.file.clone(), text, layers: self.layers.clone(), places, flat })
+    }
+
+    fn of_layers(layers: Vec<Layer>, file: &Path) -> Result<Self, SpecError> {
+        let (text, places) = merged(&layers, file)?;
+        let flat = Layer { file: file.to_owned(), text: text.clone() }.places(0)?;
+        Ok(Self { file: file.to_owned(), text, layers, places, flat })
     }
 
     /// Returns a message if a key has no effect, because an axis or all points set it, a table that contains it, or a part of

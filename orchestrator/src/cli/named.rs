@@ -55,7 +55,9 @@ impl Spec {
 
     /// Expands the spec into trials.
     pub fn plan(&self) -> Result<Plan, Error> {
-        Ok(Plan::of(self.source()?)?)
+        let plan = Plan::of(self.source()?)?;
+        plan.left_out.iter().for_each(|why| say!("warning: {why}; left out"));
+        Ok(plan)
     }
 }
 

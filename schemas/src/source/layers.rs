@@ -79,6 +79,11 @@ impl Layer {
         }
     }
 
+    /// Whether it is an override of the command line.
+    pub fn is_override(&self) -> bool {
+        self.file == Path::new(COMMAND_LINE)
+    }
+
     /// Returns the keys with their paths, in the order of the text.
     pub fn places(&self, layer: usize) -> Result<Vec<Place>, SpecError> {
         let table = DeTable::parse(&self.text).map_err(|e| self.no_toml(&e))?;
@@ -101,7 +106,7 @@ impl Layer {
     pub fn error(&self, at: usize, key: String, what: String) -> SpecError {
         let before = &self.text.as_bytes()[..at.min(self.text.len())];
         let line = 1 + before.iter().filter(|&&b| b == b'\n').count();
-        let line = if self.file == Path::new(COMMAND_LINE) { 0 } else { line };
+        let line = if self.is_override() { 0 } else { line };
         SpecError { file: self.file.clone(), line, key, what }
     }
 }
@@ -146,7 +151,7 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
         }
         let mut table = layer.table()?;
         table.remove(BASE);
-        if layer.file != Path::new(COMMAND_LINE) && folder(&layer.file) != folder(file) {
+        if !layer.is_override() && folder(&layer.file) != folder(file) {
             let mut value = Value::Table(std::mem::take(&mut table));
             let folder = canonical(folder(&layer.file));
             each_file(&mut value, &mut |file| {
@@ -167,8 +172,12 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
         places.extend(own.into_iter().filter(counts));
     }
     let head = layers.iter().find(|layer| layer.file == file).map_or("", |own| &own.text);
-    let head: String = head.split_inclusive('\n').take_while(|line| line.starts_with('#')).collect();
-    Ok((head + &toml::to_string(&all).expect("tables of TOML are TOML"), places))
+    Ok((comments(head) + &toml::to_string(&all).expect("tables of TOML are TOML"), places))
+}
+
+/// The comments at the head of a text.
+pub(super) fn comments(text: &str) -> String {
+    text.split_inclusive('\n').take_while(|line| line.starts_with('#')).collect()
 }
 
 /// Adds the keys that a table lacks.

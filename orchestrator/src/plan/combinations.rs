@@ -1,0 +1,49 @@
+//! The combinations of a sweep's axes, with the keys left out that overrides have made irrelevant.
+
+use metasense_schemas::source::{Source, SpecError};
+use metasense_schemas::spec::SweepSpec;
+
+use super::axes::{self, Combination};
+use super::{brains, check_sweep, goal, until};
+
+/// A parsed sweep.
+pub(super) struct Combinations {
+    /// Without the keys left out.
+    pub source: Source,
+    pub spec: SweepSpec,
+    pub combinations: Vec<Combination>,
+    /// Keys of the file that overrides have made irrelevant, with the reason.
+    pub left_out: Vec<String>,
+}
+
+impl Combinations {
+    /// Parses a spec. A key that no trial uses is an error, unless the file uses it and an override has removed these trials.
+    ///
+    /// # Errors
+    /// For the first key that is unknown, has an impossible value, or that no trial uses.
+    pub fn of(mut source: Source) -> Result<Self, SpecError> {
+        let mut left_out = Vec::new();
+        loop {
+            let (spec, combinations, unread) = parsed(&source)?;
+            let Some(error) = unread else { return Ok(Self { source, spec, combinations, left_out }) };
+            let file = source.without_overrides().map(|file| parsed(&file));
+            let is_wrong = |unread: Option<SpecError>| unread.is_some_and(|unread| unread.key == error.key);
+            let rest = match file {
+                Some(Ok((.., unread))) if !is_wrong(unread.clone()) => source.without_key(&error.key),
+                _ => None,
+            };
+            left_out.push(error.to_string());
+            source = rest.ok_or(error)?;
+        }
+    }
+}
+
+/// The spec, its combinations, and the error for the first key that no trial uses.
+fn parsed(source: &Source) -> Result<(SweepSpec, Vec<Combination>, Option<SpecError>), SpecError> {
+    let spec = until::grid(source.parse()?, source)?;
+    check_sweep(&spec, source)?;
+    goal::check(&spec, source)?;
+    let combinations = axes::combinations(&spec, source)?;
+    let unread = brains::refuse_unread(combinations.iter().map(|one| &one.spec), source).err();
+    Ok((spec, combinations, unread))
+}
