@@ -15,8 +15,11 @@ fn main() {
     for path in source::PROGRAM.map(|path| root.join(path)).into_iter().chain(commits) {
         println!("cargo:rerun-if-changed={}", path.display());
     }
-    let digest = source::digest(&root).unwrap_or_else(|e| panic!("reading the sources: {e}"));
-    println!("cargo:rustc-env=METASENSE_CODE={digest}");
+    for (name, digest) in [("CODE", source::digest(&root)), ("CODE_WITH_LAB", source::digest_with_lab(&root))]
+    {
+        let digest = digest.unwrap_or_else(|e| panic!("reading the sources: {e}"));
+        println!("cargo:rustc-env=METASENSE_{name}={digest}");
+    }
     if let Some(revision) = source::revision(&root) {
         println!("cargo:rustc-env=METASENSE_REVISION={revision}");
     }

@@ -340,7 +340,7 @@ async fn a_browser_shows_follows_and_asks() {
 
     // recorded steps appear without any action
     page.open(&format!("{address}/0/"));
-    let (_, initial) = metasense_worker::simulate::body(&first.spec).unwrap();
+    let (_, initial) = metasense_lab::simulate::body(&first.spec).unwrap();
     let recorded = |n: u32| {
         let record =
             StepRecord { step: n, error_test: Some(9.0), outcome: "ok".into(), ..Default::default() };

@@ -109,7 +109,7 @@ async fn step(store: &mut Store, hash: &str, step: u32) {
         outcome: "ok".into(),
         ..Default::default()
     };
-    let (_, design) = metasense_worker::simulate::body(&plan(TINY).trials[0].spec).unwrap();
+    let (_, design) = metasense_lab::simulate::body(&plan(TINY).trials[0].spec).unwrap();
     let checkpoint = Checkpoint { step: step + 1, design, ..Default::default() };
     store.record_step(hash, 1, &record, &checkpoint).await.unwrap();
 }

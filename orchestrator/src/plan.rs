@@ -20,10 +20,9 @@ use metasense_schemas::spec::{
     Body, BodyKind, Design, Disturbance, HashError, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors,
     Stimuli, SweepSpec, Training, TrialSpec, position_of,
 };
-use metasense_worker::demands::memory;
 use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
-use metasense_worker::problem::{self, Invalid, as_written};
-use metasense_worker::replay::Panel;
+use metasense_worker::memory;
+use metasense_worker::problem::{self, Invalid, Panel, as_written};
 use metasense_worker::{external, polygons, records};
 
 use serde_json::Value;

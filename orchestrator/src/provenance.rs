@@ -25,10 +25,16 @@ pub fn this_machine(threads: u32) -> Provenance {
     }
 }
 
-/// Digest of the sources of this program that affect results.
+/// Digest of the sources of this program that affect the results of trials.
 #[must_use]
 pub fn code() -> &'static str {
     env!("METASENSE_CODE")
+}
+
+/// Digest of the sources of this program that affect the results of any command.
+#[must_use]
+pub fn code_with_lab() -> &'static str {
+    env!("METASENSE_CODE_WITH_LAB")
 }
 
 /// Git commit of this program; `None` if it was built without git.

@@ -4,7 +4,7 @@ use metasense::analysis::operator::MEASURES;
 use metasense::look::{body, file, legend};
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
-use metasense_worker::replay::drawing;
+use metasense_lab::replay::drawing;
 
 use super::rows::{Row, geometric, number, of, only_row, ratio, rows, seeds, short, with_interval};
 use super::table;

@@ -5,7 +5,6 @@ use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brains::{self, Band, BandKind, DecoderState, NetworkTraining};
 use metasense_numerics::dynamics;
 use metasense_numerics::nested::{self, Best, CastDecoder, PastDesign, State};
-use metasense_numerics::questions;
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
     self, BodyEvaluation, CastReading, Checkpoint, Comparison, Counters, ImplicitRecord, Moments,
@@ -14,7 +13,7 @@ use metasense_schemas::record::{
 use metasense_schemas::spec::TrialSpec;
 
 /// `None` for NaN and ±∞.
-pub(crate) fn finite(value: Option<f64>) -> Option<f64> {
+pub fn finite(value: Option<f64>) -> Option<f64> {
     value.filter(|x| x.is_finite())
 }
 
@@ -211,7 +210,7 @@ pub fn cast_readings(casts: &[nested::CastEvaluation]) -> Vec<CastReading> {
 }
 
 /// Errors of both bodies under the further kinds of forces of the trial.
-pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 2]) -> Vec<UnderReading> {
+pub fn under_readings(trial: &TrialSpec, under: &[Vec<nested::UnderReading>; 2]) -> Vec<UnderReading> {
     let kinds: Vec<_> = trial.evaluation.under.iter().flatten().map(|part| part.kind.name()).collect();
     let bodies = ["initial", "optimised"].into_iter().zip(under);
     let all = bodies.flat_map(|(body, readings)| readings.iter().map(move |reading| (body, reading)));

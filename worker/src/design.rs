@@ -87,7 +87,7 @@ pub fn check(what: &str, shape: &[usize], values: &[f64], length: usize) -> Resu
 }
 
 /// Rejects NaN and infinity; names the index of the first.
-pub(crate) fn finite(what: &str, values: &[f64]) -> Result<(), String> {
+pub fn finite(what: &str, values: &[f64]) -> Result<(), String> {
     match values.iter().position(|x| !x.is_finite()) {
         None => Ok(()),
         Some(at) => Err(format!("{what}: number {at} is {}, which is not finite", values[at])),

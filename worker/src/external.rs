@@ -55,7 +55,7 @@ fn duration(time_limit: Option<f64>) -> Duration {
 }
 
 /// The kind of a fault.
-pub(crate) fn named(fault: &Fault) -> BodyFault {
+pub fn named(fault: &Fault) -> BodyFault {
     BodyFault::ALL.iter().find(|known| known.name() == fault.name).copied().unwrap_or(BodyFault::Invalid)
 }
 

@@ -16,7 +16,8 @@ pub struct Invalid {
     pub remedy: String,
 }
 
-pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
+/// An invalid value of a key, with the remedy.
+pub fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
     Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
 }
 
@@ -26,11 +27,19 @@ pub fn as_written(value: &impl Serialize) -> String {
     toml::Value::try_from(value).map_or(String::new(), |value| value.to_string())
 }
 
-pub(crate) fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {
+/// Checks a condition on the value of a key.
+///
+/// # Errors
+/// If it does not hold.
+pub fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {
     if holds { Ok(()) } else { Err(invalid(key, value, remedy)) }
 }
 
-pub(crate) fn positive(key: &str, value: f64) -> Result<(), Invalid> {
+/// Checks that a number is finite and above 0.
+///
+/// # Errors
+/// If it does not hold.
+pub fn positive(key: &str, value: f64) -> Result<(), Invalid> {
     require(value > 0.0 && value.is_finite(), key, value, "must be a number above 0")
 }
 

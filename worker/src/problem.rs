@@ -30,6 +30,7 @@ pub use body::{
     check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
 };
 pub use metasense_numerics::brains::READINGS_MAX;
+pub use metasense_numerics::dynamics::Panel;
 pub use metasense_numerics::material::{Ligament, shore_a};
 pub use metasense_numerics::nested::INVERTED_PER_CAST;
 
@@ -192,7 +193,7 @@ fn scaling(trial: &TrialSpec) -> Result<Scaling, Invalid> {
 }
 
 /// The layers of the network.
-pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
+pub fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     let spec::Network { width, kernels, dilations, causal } = trial.brain.network();
     let instants = trial.time.samples;
     at_least("brain.width", width, 1)?;
@@ -301,7 +302,7 @@ pub fn instants(trial: &TrialSpec) -> usize {
 }
 
 /// Checks that a linear decoder with these lags fits into memory.
-pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
+pub fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     let (instants, channels) = (trial.time.samples, trial.signals());
     let readings = channels * instants;
     let remedy = format!(

@@ -20,11 +20,11 @@ use crate::invalid::{Invalid, as_written, invalid, positive};
 mod clock;
 mod pick;
 
-pub(crate) use pick::{Pick, of_file};
+pub use pick::{Pick, of_file};
 
 /// Histories on an even clock: one per panel, a single one for the struck panel, or one per channel.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Record {
+pub struct Record {
     /// Time of the first entry (s).
     pub start: f64,
     /// Interval between entries (s).
@@ -50,12 +50,13 @@ pub fn digest(recorded: &spec::Recorded) -> Result<String, Invalid> {
     Ok(hasher.finalize().to_hex()[..32].to_owned())
 }
 
-pub(crate) fn file_error(file: &Path, what: impl Into<String>) -> Invalid {
+/// The error of a file of records.
+pub fn file_error(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("stimuli.recorded.files", format!("{:?}", file.display().to_string()), what)
 }
 
 /// Reads and parses a file.
-pub(crate) fn open(file: &Path, form: &Form) -> Result<Content, String> {
+pub fn open(file: &Path, form: &Form) -> Result<Content, String> {
     let bytes = files::read(file).map_err(|e| format!("cannot be read: {e}"))?;
     files::content(file, &bytes, form)
 }
@@ -117,10 +118,10 @@ pub(crate) fn load_records(
 }
 
 /// Resamples a history: (history, start, dt, duration, instants).
-pub(crate) type Clock = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
+pub type Clock = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
 
 /// The resampling function for forces.
-pub(crate) fn clock(kind: Resample) -> Clock {
+pub fn clock(kind: Resample) -> Clock {
     match kind {
         Resample::Antialias => anti_aliased_force,
         Resample::Linear => resample,
@@ -129,7 +130,7 @@ pub(crate) fn clock(kind: Resample) -> Clock {
 
 /// Largest force, relative to its peak, at which a shift may cut it off. A half sine cut there loses less than 0.1 % of its
 /// impulse; sensor noise may reach 0.02 in the record of a weak blow.
-pub(crate) const CUT: f64 = 0.05;
+pub const CUT: f64 = 0.05;
 
 /// Checks that no two records are copies and that shifts do not cut forces off. Called when trials are planned; replays of older
 /// trials skip it.
@@ -172,7 +173,7 @@ fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
 }
 
 /// Hash of an array.
-pub(crate) fn fingerprint(values: &[f64]) -> blake3::Hash {
+pub fn fingerprint(values: &[f64]) -> blake3::Hash {
     blake3::hash(bytemuck::cast_slice(values))
 }
 
@@ -216,7 +217,7 @@ fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
 }
 
 /// Forces of a file: one history per panel, or a single one per record.
-pub(crate) fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<Record>, String> {
+pub fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<Record>, String> {
     let records = of_file(pick, held)?;
     match records.iter().map(|record| record.values.len()).find(|held| ![1, panels].contains(held)) {
         Some(held) => {
@@ -228,7 +229,7 @@ pub(crate) fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<R
 }
 
 /// Rejects keys of the CSV format if no file is a CSV.
-pub(crate) fn check_form(
+pub fn check_form(
     table: &str,
     files: &[PathBuf],
     header: Option<bool>,
@@ -250,12 +251,12 @@ pub(crate) fn check_form(
 }
 
 /// Adds the record's number to an error message if the file contains several.
-pub(crate) fn numbered(record: usize, count: usize, what: String) -> String {
+pub fn numbered(record: usize, count: usize, what: String) -> String {
     if count == 1 { what } else { format!("record {record}: {what}") }
 }
 
 /// Rejects a time step longer than a sample: probably a wrong unit.
-pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
+pub fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
     if record.dt <= duration {
         return Ok(());
     }
@@ -264,7 +265,7 @@ pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<
 }
 
 /// Rejects a record whose force lies outside the sample.
-pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
+pub fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
     let Record { start, dt, values, .. } = record;
     let peak = |is_in_range: &dyn Fn(f64) -> bool| {
         let forces = values.iter().flat_map(|history| history.iter().enumerate());
@@ -284,7 +285,7 @@ pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result
 }
 
 /// Checks that all records contain the same number of forces, and that `panels` is valid.
-pub(crate) fn check_panels(
+pub fn check_panels(
     recorded: &spec::Recorded,
     records: &[&Record],
     count: usize,
@@ -308,7 +309,7 @@ pub(crate) fn check_panels(
 }
 
 /// Rejects invalid keys, and files whose contents differ from the digest.
-pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
+pub fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     let key = |name: &str| format!("stimuli.recorded.{name}");
     let wrong = |name: &str, value: String, remedy: &str| Err(invalid(&key(name), value, remedy));
     if recorded.files.is_empty() {
@@ -341,7 +342,7 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
 
 /// Converts forces to newtons, removes the offset, and shifts the blow to the time of the trigger, `room` (s) by default. Returns
 /// the shift (s).
-pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -> Result<f64, String> {
+pub fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -> Result<f64, String> {
     let factor = recorded.force_unit.newtons() * recorded.scale;
     let factors = vec![factor; record.values.len()];
     in_units("force", &mut record.values, &factors, recorded.remove_offset)?;
@@ -356,7 +357,7 @@ pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -
 }
 
 /// Multiplies each history by its factor; optionally subtracts its median first.
-pub(crate) fn in_units(
+pub fn in_units(
     what: &str,
     values: &mut [Vec<f64>],
     factors: &[f64],
@@ -376,4 +377,4 @@ pub(crate) fn in_units(
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;

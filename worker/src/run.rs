@@ -5,18 +5,15 @@ pub use metasense_numerics::Pool;
 use metasense_numerics::nested::{self, Optimised, State};
 pub use metasense_numerics::nested::{Control, keeps_error};
 use metasense_numerics::place::{self, Placed};
-use metasense_numerics::trial::{self, Body, Problem, Trial};
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
+use metasense_numerics::trial::{self, Body, Trial};
+use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{BodyFault, Cause};
 
 use crate::clock::cpu_seconds;
 use crate::convert;
-use crate::demands::memory;
-use crate::design;
 use crate::external;
 use crate::limits::{Needs, explained};
-use crate::problem::external::polygons;
 use crate::problem::problem;
 use crate::simd;
 
@@ -120,104 +117,6 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
         bands: optimised.bands.map(|bands| convert::bands(&bands)),
         under: convert::under_readings(trial, &optimised.under),
     }
-}
-
-/// Converts a spec of a body of polygons to a problem.
-///
-/// # Errors
-/// If the spec is invalid, or its body is an external one.
-pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
-    let found = polygons(&trial.body).and_then(|()| problem(trial));
-    found.map_err(|invalid| Failure::Rejected(invalid.to_string()))
-}
-
-/// Converts a spec to a problem, and checks that `design` fits its body.
-///
-/// # Errors
-/// If the spec is invalid, or as [`check_design`].
-pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
-    let problem = prepared(trial)?;
-    check_design(&problem, design)?;
-    Ok(problem)
-}
-
-/// Checks that `design` fits the problem's body and gives its units mass.
-///
-/// # Errors
-/// If the length is wrong, a number is not finite, or a unit has no mass, as inverted units do unless masses are given.
-pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
-    design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
-    let geometry = problem.scene.geometry(design);
-    let has_mass = |unit: &usize| {
-        let [area, mass, moment] = [&geometry.area, &geometry.mass, &geometry.moment].map(|of| of[*unit]);
-        area != 0.0 && mass > 0.0 && moment >= 0.0
-    };
-    match (0..problem.scene.layout.units()).find(|unit| !has_mass(unit)) {
-        None => Ok(()),
-        Some(unit) => Err(Failure::Rejected(format!(
-            "the design: unit {unit} has an area of {:.3} mm² and can be neither cast nor simulated; `metasense body project` repairs a design",
-            geometry.area[unit]
-        ))),
-    }
-}
-
-/// As [`with_design`], for callers that simulate all samples.
-///
-/// # Errors
-/// As [`with_design`], or if this machine lacks the memory.
-pub(crate) fn simulable(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
-    check_memory(trial)?;
-    with_design(trial, design)
-}
-
-/// Checks that this machine has the memory for the samples of a trial.
-///
-/// # Errors
-/// Names the key with the largest share.
-fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
-    memory::check_here(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
-}
-
-/// Checks the length of an array.
-pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
-    match given == expected {
-        true => Ok(()),
-        false => {
-            Err(Failure::Rejected(format!("the {what} has {given} numbers; the trial needs {expected}")))
-        }
-    }
-}
-
-/// Rejects NaN and infinity.
-///
-/// # Errors
-/// Names the first number that is not finite, and its index.
-pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
-    design::finite(what, values).map_err(Failure::Rejected)
-}
-
-/// Converts a spec to a problem and places its sensors, by a search if the spec requires it.
-///
-/// # Errors
-/// If the spec is invalid, this machine lacks the memory, or the search fails.
-pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, Failure> {
-    check_memory(trial)?;
-    Ok(place::placed(&prepared(trial)?, pool)?.0)
-}
-
-/// The final comparison of a trial: fresh networks on each design, all with the same initial weights.
-///
-/// # Errors
-/// As `run_trial`.
-pub fn evaluate_designs(
-    trial: &TrialSpec,
-    designs: &[Vec<f64>],
-    threads: usize,
-) -> Result<Vec<BodyEvaluation>, Failure> {
-    let pool = pool(threads)?;
-    let trial = Trial::new(&placed(trial, &pool)?, &pool)?;
-    let bodies = nested::evaluate_designs(&trial, designs, &mut nested::NoObserver);
-    Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 
 /// Pool of computing threads; 0 counts as 1.

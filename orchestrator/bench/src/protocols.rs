@@ -13,9 +13,10 @@ use metasense::exit::Exit;
 use metasense::look::row;
 use metasense::look::{Axis, Plot, SERIES, Scale, Table, file};
 use metasense::say;
+use metasense_lab::prepare::evaluate_designs;
 use metasense_schemas::record::{BodyEvaluation, mean};
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
-use metasense_worker::run::{Failure, evaluate_designs};
+use metasense_worker::run::Failure;
 use serde_json::{Value, json};
 
 use crate::{append, file_name};

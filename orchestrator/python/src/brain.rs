@@ -1,11 +1,12 @@
 //! Linear decoder for arbitrary arrays.
 
+use metasense_lab::prepare::finite;
 use metasense_numerics::brain::linear::{Lags, Linear, Sizes};
 use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::{Decoder, Ridge, Samples};
-use metasense_worker::run::{finite, pool};
+use metasense_worker::run::pool;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;

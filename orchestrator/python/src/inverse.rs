@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 
+use metasense_lab::identify::{Fit, identify};
+use metasense_lab::inverse::{Posterior, with_brain};
+use metasense_lab::measured::{Measured, MeasuredError};
+use metasense_lab::twin::{self, parse, read, store};
 use metasense_numerics::dynamics::Parameters;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::identify::{Fit, identify};
-use metasense_worker::inverse::{Posterior, with_brain};
-use metasense_worker::measured::{Measured, MeasuredError};
 use metasense_worker::run::{Failure, Pool};
-use metasense_worker::twin::{self, parse, read, store};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -44,7 +44,7 @@ impl Twin {
     ) -> PyResult<Self> {
         let NumericArray { shape, values } = numbers("forces", forces)?;
         let scene = &body.problem.scene;
-        let forces = metasense_worker::simulate::forces(scene, &shape, values).map_err(|e| raised(&e))?;
+        let forces = metasense_lab::simulate::forces(scene, &shape, values).map_err(|e| raised(&e))?;
         let signals = signals_of(body, Some(forces.samples), signals)?;
         let measured = Measured::of(forces, signals, false);
         let threads = body.threads.count();

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use metasense_lab::prepare::finite;
+use metasense_lab::simulate::check_cotangent;
 use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Wrt};
 use metasense_numerics::trial::{Chip, Problem};
-use metasense_worker::run::finite;
-use metasense_worker::simulate::check_cotangent;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use metasense_lab::bound::{Bound, bound};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::bound::{Bound, bound};
 use serde_json::{Value, json};
 
 use super::named::{Database, Design, Designed};

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use metasense_lab::casts::casts;
 use metasense_schemas::record::CastReading;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::{TrialSpec, Variation, VariationFile};
-use metasense_worker::casts::casts;
 use metasense_worker::problem::INVERTED_PER_CAST;
 
 use super::named::Designed;

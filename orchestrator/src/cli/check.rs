@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::check::{Level, check, read};
+use metasense_lab::check::{Level, check, read};
 
 use super::named::Designed;
 use super::report::write_figures;

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use metasense_lab::replay::{Drawing, Panel};
 use metasense_worker::design::{self, Feasible, overlaps};
 use metasense_worker::problem::external::body as external_body;
-use metasense_worker::replay::{Drawing, Panel};
 
 use super::named::Named;
 use super::{Error, write};

@@ -3,10 +3,10 @@
 use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
+use metasense_lab::measured::MeasuredError;
 use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
 use metasense_worker::limits::Shortage;
-use metasense_worker::measured::MeasuredError;
 
 use super::control;
 use crate::cluster::AssignmentError;

@@ -5,15 +5,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use metasense_schemas::spec::{BrainKind, TrialSpec};
-use metasense_worker::evaluate::{
+use metasense_lab::evaluate::{
     Effort, Evaluated, Network, NetworkStore, estimate_by_inverse, evaluate, evaluate_by_twin, parts,
     simulated,
 };
-use metasense_worker::inverse::holdout;
-use metasense_worker::measured::Measured;
+use metasense_lab::inverse::holdout;
+use metasense_lab::measured::Measured;
+use metasense_lab::twin::{self, Twin};
+use metasense_schemas::spec::{BrainKind, TrialSpec};
 use metasense_worker::run::Failure;
-use metasense_worker::twin::{self, Twin};
 
 use super::named::{Named, read_records};
 use super::report::write_figures;
@@ -105,7 +105,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let brain = brain(&args, &specs[0])?;
     let inverse = brain == BrainKind::Inverse;
     let (layout, initial) =
-        metasense_worker::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
+        metasense_lab::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
     designs.entry("initial".into()).or_insert(initial);
     for (i, (name, _)) in args.records.iter().enumerate() {
         if args.records[..i].iter().any(|(other, _)| other == name) {

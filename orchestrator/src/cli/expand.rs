@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use metasense_worker::modes::{Natural, natural_frequencies};
+use metasense_lab::modes::{Natural, natural_frequencies};
 use metasense_worker::problem::measures;
 use metasense_worker::simd::name;
 use serde_json::Value;

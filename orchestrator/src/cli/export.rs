@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use metasense_lab::casts::NO_VARIATION;
+use metasense_lab::demands::Demands;
+use metasense_lab::replay::{Drawing, Replay, ReplayDecoder, drawing};
 use metasense_schemas::database::VIEWS;
-use metasense_worker::casts::NO_VARIATION;
-use metasense_worker::demands::Demands;
 use metasense_worker::problem::Ligament;
-use metasense_worker::replay::{Drawing, Replay, ReplayDecoder, drawing};
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;

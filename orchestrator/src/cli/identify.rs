@@ -4,14 +4,14 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use indicatif::ProgressBar;
-use metasense_schemas::spec::TrialSpec;
-use metasense_worker::identify::{
+use metasense_lab::identify::{
     BOX, Ending, Estimate, Fit, Iteration, Offset, Parameter, Parameters, Turn, UNEXPLAINED, Unknown,
     identify,
 };
-use metasense_worker::measured::Measured;
-use metasense_worker::run::prepared;
-use metasense_worker::twin;
+use metasense_lab::measured::Measured;
+use metasense_lab::prepare::prepared;
+use metasense_lab::twin;
+use metasense_schemas::spec::TrialSpec;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::modes::{Response, responses, slowest};
+use metasense_lab::modes::{Response, responses, slowest};
 
 use super::named::Designed;
 use super::{Error, Format, print_rows, write};
@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             (Table::new(pictures::COLUMNS, rows), modes.len().clamp(1, 4), drawn)
         }
         Some(unit) => {
-            let last = modes.last().map_or(0.0, metasense_worker::modes::Mode::frequency);
+            let last = modes.last().map_or(0.0, metasense_lab::modes::Mode::frequency);
             let frequencies: Vec<f64> =
                 (1..=FREQUENCIES).map(|i| last * i as f64 / FREQUENCIES as f64).collect();
             let found = responses(spec, design, unit, &frequencies)

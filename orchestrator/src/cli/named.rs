@@ -5,13 +5,14 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
+use metasense_lab::measured::{self, Measured};
+use metasense_lab::simulate;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::demands::memory;
 use metasense_worker::design::Feasible;
-use metasense_worker::measured::{self, Measured};
+use metasense_worker::memory;
 use metasense_worker::run::Failure;
-use metasense_worker::{design, problem, simulate};
+use metasense_worker::{design, problem};
 
 use super::Error;
 use crate::cluster::facts::Facts;

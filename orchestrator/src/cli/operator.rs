@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::operator::{OperatorFigures, operator_figures};
+use metasense_lab::operator::{OperatorFigures, operator_figures};
 use serde_json::json;
 
 use super::named::Database;

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::place::{PlacementReport, search_placements};
-use metasense_worker::replay::Drawing;
+use metasense_lab::place::{PlacementReport, search_placements};
+use metasense_lab::replay::Drawing;
 
 use super::named::Designed;
 use super::{Error, Format, cores, print_rows, write};
@@ -37,7 +37,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("the linear decoder also uses |signal|² of each unit, which lowers its error for these forces");
     }
     if let Some(out) = &args.out {
-        let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.trial.failed(e))?;
+        let drawn = metasense_lab::replay::drawing(spec, design).map_err(|e| args.one.trial.failed(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = sketch(&Drawing { sensors, active: Vec::new(), ..drawn }, &[]);
         let caption = format!(

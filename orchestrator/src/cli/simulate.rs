@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use metasense_lab::prepare::finite;
+use metasense_lab::simulate::{Simulated, simulate};
 use metasense_worker::files::{self, Array};
-use metasense_worker::run::{finite, keeps_error};
-use metasense_worker::simulate::{Simulated, simulate};
+use metasense_worker::run::keeps_error;
 
 use super::named::Designed;
 use super::{Error, Format, cores, make_folder, print_rows, write};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::tasks::{TaskEstimate, tasks};
+use metasense_lab::tasks::{TaskEstimate, tasks};
 use serde_json::{Value, json};
 
 use super::named::Database;

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use super::{Error, make_folder};
 use crate::files::put_in_place;
 use crate::leftovers::remove_abandoned;
-use crate::provenance::code;
+use crate::provenance::code_with_lab;
 
 /// Name of the file in the folder.
 const NAME: &str = "unfinished.bin";
@@ -34,7 +34,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         command: &str,
         inputs: &impl Serialize,
     ) -> Result<(Self, Option<T>), Error> {
-        let inputs = postcard::to_stdvec(&(VERSION, code(), simd::name(), command, inputs))
+        let inputs = postcard::to_stdvec(&(VERSION, code_with_lab(), simd::name(), command, inputs))
             .expect("inputs are plain data");
         let digest = *blake3::hash(&inputs).as_bytes();
         let path = folder.map(|folder| folder.join(NAME));

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use metasense_lab::verify::{self, Row};
 use metasense_worker::run::Pool;
-use metasense_worker::verify::{self, Row};
 use serde_json::Value;
 
 use super::named::Spec;

@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use metasense_worker::replay::Drawing;
+use metasense_lab::replay::Drawing;
 
 use super::outline::{HOLE, screwed};
 

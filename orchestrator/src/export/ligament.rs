@@ -1,9 +1,10 @@
 //! Ligaments and material with which a cast body has the simulated stiffnesses: MODEL.md, Material.
 
+use metasense_lab::prepare::prepared;
+use metasense_lab::replay::{Drawing, drawing};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::problem::{Ligament, material, shore_a};
-use metasense_worker::replay::{Drawing, drawing};
-use metasense_worker::run::{Failure, prepared};
+use metasense_worker::run::Failure;
 
 use super::outline::{Invalid, Mould, Outline};
 use crate::look::{digits, number};

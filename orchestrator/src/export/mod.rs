@@ -16,8 +16,8 @@ pub(crate) mod tests;
 pub use outline::{Mould, Outline};
 
 use clap::ValueEnum;
+use metasense_lab::replay::{Replay, ReplayDecoder, fit_decoder, replay, replay_for_casts};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::replay::{Replay, ReplayDecoder, fit_decoder, replay, replay_for_casts};
 use metasense_worker::run::Failure;
 
 use crate::store::{StoreError, StoredTrial};

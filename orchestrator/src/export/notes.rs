@@ -1,6 +1,6 @@
 //! The README of a device's files: dimensions, positions of chips and forces, instructions.
 
-use metasense_worker::replay::{Drawing, PrescribedMotion};
+use metasense_lab::replay::{Drawing, PrescribedMotion};
 
 use super::ligament::Cast;
 use super::outline::{HOLE, largest_pocket, screwed};

@@ -5,8 +5,8 @@
 
 use std::io::{Cursor, Write};
 
+use metasense_lab::replay::{Drawing, LinearReplay, Replay, drawing, linear};
 use metasense_schemas::spec::{Brain, BrainKind, Network};
-use metasense_worker::replay::{Drawing, LinearReplay, Replay, drawing, linear};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 

@@ -5,7 +5,7 @@
 //! ```
 //! A linear decoder before a network is a Conv, and a Concat of its input and its output.
 
-use metasense_worker::replay::{Convolution, Replay, ReplayDecoder, layers};
+use metasense_lab::replay::{Convolution, Replay, ReplayDecoder, layers};
 use onnx_rs::ast::{
     Attribute, AttributeType, DataType, Dimension, Graph, Model, Node, OpType, OperatorSetId,
     StringStringEntry, TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto, TypeValue,

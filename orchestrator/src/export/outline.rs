@@ -11,7 +11,7 @@ use i_triangle::i_overlay::i_float::int::point::IntPoint;
 use i_triangle::i_overlay::i_shape::int::area::Area;
 use i_triangle::i_overlay::i_shape::int::path::ContourExtension;
 use i_triangle::i_overlay::i_shape::int::shape::{IntContour, IntShape};
-use metasense_worker::replay::Drawing;
+use metasense_lab::replay::Drawing;
 
 /// A point of the grid.
 pub type Point = IntPoint<i32>;

@@ -1,6 +1,6 @@
 //! A trial's time series as one long table, one row per sample and instant.
 
-use metasense_worker::replay::Replay;
+use metasense_lab::replay::Replay;
 use serde_json::{Value, json};
 
 use super::bands;

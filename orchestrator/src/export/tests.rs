@@ -1,6 +1,6 @@
 //! A body for tests of exports.
 
-use metasense_worker::replay::{Drawing, Panel};
+use metasense_lab::replay::{Drawing, Panel};
 
 /// 3 × 3 squares rotated by 20°, pitch 15 mm, ligaments 2.25 mm long.
 pub fn squares() -> Drawing {

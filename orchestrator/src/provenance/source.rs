@@ -7,13 +7,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Sources of the program, relative to the workspace root; the first five affect results.
-pub const PROGRAM: [&str; 10] = [
+/// Sources of the program, relative to the workspace root; the first five affect the results of trials, the sixth other results.
+pub const PROGRAM: [&str; 11] = [
     "Cargo.lock",
     "schemas/src",
     "worker/kernels/src",
     "worker/numerics/src",
     "worker/src",
+    "worker/lab/src",
     "Cargo.toml",
     "orchestrator/render/src",
     "orchestrator/analysis/src",
@@ -21,13 +22,25 @@ pub const PROGRAM: [&str; 10] = [
     "schemas/schema.sql",
 ];
 
-/// Sixteen hex digits: FNV-1a (64 bits) of names and contents of the sources that affect results.
+/// Sixteen hex digits: FNV-1a (64 bits) of names and contents of the sources that affect the results of trials.
 ///
 /// # Errors
 /// If a source cannot be read.
 pub fn digest(root: &Path) -> io::Result<String> {
+    digest_of(root, &PROGRAM[..5])
+}
+
+/// The same of the sources that affect the results of any command.
+///
+/// # Errors
+/// If a source cannot be read.
+pub fn digest_with_lab(root: &Path) -> io::Result<String> {
+    digest_of(root, &PROGRAM[..6])
+}
+
+fn digest_of(root: &Path, sources: &[&str]) -> io::Result<String> {
     let mut files = Vec::new();
-    for path in &PROGRAM[..5] {
+    for path in sources {
         add_files(root, Path::new(path), &mut files)?;
     }
     files.sort();

@@ -37,6 +37,10 @@ fn code_is_told_with_git_and_without() {
     write("orchestrator/src/report.rs", "another look");
     assert_eq!(source::digest(root).unwrap(), first);
     assert_eq!(source::revision(root).unwrap(), format!("{commit}-dirty"));
+    let with_lab = source::digest_with_lab(root).unwrap();
+    write("worker/lab/src/deep/a.rs", "other fits");
+    assert_eq!(source::digest(root).unwrap(), first, "no trial uses the lab");
+    assert_ne!(source::digest_with_lab(root).unwrap(), with_lab);
     write("worker/src/deep/a.rs", "other sums");
     let second = source::digest(root).unwrap();
     write("worker/src/deep/a.rs", "yet other sums");

@@ -1,7 +1,7 @@
 //! Converts a trial's body into the sketch that `look` draws.
 
+use metasense_lab::replay::{Drawing, Panel};
 use metasense_worker::design::{Active, Kind, Violation};
-use metasense_worker::replay::{Drawing, Panel};
 
 use crate::look::body::{Arrow, Mark, Numbers, Point, Sketch, frame, middle};
 use crate::look::{Figure, Table, legend, row};

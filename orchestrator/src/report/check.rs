@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use maud::html;
+use metasense_lab::check::{Checked, Level, Looked};
+use metasense_lab::modes::responses;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::check::{Checked, Level, Looked};
-use metasense_worker::modes::responses;
 use serde_json::Value;
 
 use crate::look::{
@@ -59,7 +59,7 @@ pub fn rings(checked: &Checked) -> Table {
         let near = modes.min_by(|a, b| far(a.1.frequency()).total_cmp(&far(b.1.frequency())));
         let near = near.filter(|(_, mode)| far(mode.frequency()) < NEAR);
         let shown = |value: Option<f64>| value.map_or(Value::Null, |value| digits(value, 3).into());
-        let mode_value = |value: fn(&metasense_worker::modes::Mode) -> Option<f64>| {
+        let mode_value = |value: fn(&metasense_lab::modes::Mode) -> Option<f64>| {
             shown(near.and_then(|(_, mode)| value(mode)))
         };
         row![
@@ -69,7 +69,7 @@ pub fn rings(checked: &Checked) -> Table {
             near.map(|(n, _)| n + 1),
             mode_value(|mode| Some(mode.frequency())),
             mode_value(|mode| Some(mode.damping_ratio())),
-            mode_value(metasense_worker::modes::Mode::decay_time),
+            mode_value(metasense_lab::modes::Mode::decay_time),
             shown(near.map(|(_, mode)| frequency / mode.frequency())),
         ]
     };
@@ -86,7 +86,7 @@ const COHERENCE: [&str; 2] = ["truth", "front"];
 
 /// The page of `check`.
 pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
-    let answer = |f: &metasense_worker::check::Finding| {
+    let answer = |f: &metasense_lab::check::Finding| {
         let place = if f.place.is_empty() { String::new() } else { format!("{}: ", f.place) };
         Answer::new(
             "",

@@ -1,8 +1,8 @@
 //! Figures of an identification: records with fitted signals, and convergence.
 
 use maud::html;
+use metasense_lab::identify::Fit;
 use metasense_schemas::spec::{Channel, TrialSpec};
-use metasense_worker::identify::Fit;
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 

@@ -1,8 +1,8 @@
 //! Pictures of modes, which a page can animate, and curves of responses.
 
+use metasense_lab::modes::{Mode, Response, slowest};
+use metasense_lab::replay::drawing;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::modes::{Mode, Response, slowest};
-use metasense_worker::replay::drawing;
 use metasense_worker::run::Failure;
 use serde_json::Value;
 

@@ -1,9 +1,9 @@
 //! Comparison of bodies on records: sentences, table, figures and page.
 
 use maud::html;
+use metasense_lab::evaluate::Evaluated;
+use metasense_lab::inverse::Posterior;
 use metasense_schemas::spec::{Channel, TrialSpec};
-use metasense_worker::evaluate::Evaluated;
-use metasense_worker::inverse::Posterior;
 
 use super::casts::CLASSES;
 use super::strips::{Curve, Errors, RESIDUAL, Strip, dots, histories, representative, strips};

@@ -1,7 +1,7 @@
 //! Figures that need a trial's signals, predictions and motion. They replay one representative trial.
 
+use metasense_lab::replay::{Motion, Replay, drawing, motion, replay};
 use metasense_worker::design::overlaps;
-use metasense_worker::replay::{Motion, Replay, drawing, motion, replay};
 use metasense_worker::run::Failure;
 
 use super::body::{self, sketch};

@@ -46,7 +46,7 @@ where
 }
 
 /// B⁻¹; `None` if it is not finite.
-pub(crate) fn inverse(b: DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
+pub fn inverse(b: DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
     let n = b.nrows();
     solved_dense(b, least, &DMatrix::identity(n, n))
 }

@@ -12,12 +12,14 @@ mod comparison;
 mod evaluation;
 mod fresh;
 mod inversion;
+mod nonlinear;
 mod observe;
 mod protocol;
 mod report;
 mod schedule;
 mod search;
 mod state;
+mod under;
 
 pub use casts::{DecoderForCasts, RECORDS, brain_for_casts, evaluate_linear_on_casts};
 pub use comparison::{evaluate_designs, keeps_error};
@@ -26,10 +28,12 @@ pub use evaluation::{
     Regularisation,
 };
 pub use inversion::INVERTED_PER_CAST;
+pub use nonlinear::{EXACT, Nonlinear};
 pub use observe::{Control, NoObserver, Observe};
 pub use report::{Report, Seconds};
 pub use schedule::{RUNGS, evaluated_fraction, evaluation_step_near};
 pub use state::{Best, PastDesign, State};
+pub use under::UnderReading;
 
 use comparison::compare;
 use observe::Log;

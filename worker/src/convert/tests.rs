@@ -3,7 +3,7 @@ use super::*;
 /// A complete state survives the conversion to a checkpoint and back; a checkpoint of another trial is rejected.
 #[test]
 fn a_state_survives_its_checkpoint() {
-    let problem = crate::problem::problem(&crate::replay::tests::small_trial()).unwrap();
+    let problem = crate::problem::problem(&crate::problem::tests::trial(&[])).unwrap();
     let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
     let numbers = |n: usize| (0..n).map(|i| 0.1 * i as f64).collect::<Vec<f64>>();
     let few = |n: usize| (0..n).map(|i| 0.1 * i as f32).collect::<Vec<f32>>();

@@ -1,5 +1,4 @@
 use super::*;
-use crate::{modes::slowest, operator::operator_figures};
 use metasense_numerics::body::Pattern;
 use metasense_numerics::dynamics::{Panel, PrescribedMotion, Strike};
 use metasense_numerics::random::Purpose;
@@ -264,12 +263,7 @@ fn forces_act_where_the_list_of_panels_says() {
     assert_eq!(with(list, json!([0, 34])).unwrap(), [shaken, Panel::central(34, [0.0, -1.0])]);
     let list = json!([{ "base": 1e-5, "unit": 31, "direction": [1, 0] }, { "unit": 34 }]);
     let driven = Panel { moves: Some(PrescribedMotion::Unit(1e-5)), ..Panel::central(31, [1.0, 0.0]) };
-    assert_eq!(with(list.clone(), json!([31, 34])).unwrap(), [driven, Panel::central(34, [0.0, -1.0])]);
-    let moved = trial(&[("body.panels", list), ("panel_units", json!([31, 34]))]);
-    let design = problem(&moved).unwrap().initial;
-    for refused in [slowest(&moved, &design, 3).err(), operator_figures(&moved, &design).err()] {
-        assert!(refused.expect("driven").to_string().contains("body.panels: unit 31 is driven"));
-    }
+    assert_eq!(with(list, json!([31, 34])).unwrap(), [driven, Panel::central(34, [0.0, -1.0])]);
     for (list, place, remedy) in [
         (json!([{ "direction": [1, 0] }]), "panels[0]", "unit must be given"),
         (json!([{ "base": 0 }]), "panels[0]", "a mass above 0"),

@@ -11,7 +11,7 @@ use crate::invalid::as_written;
 
 /// The columns or arrays to read, and their clock.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Pick<'a> {
+pub struct Pick<'a> {
     /// The key that names them.
     pub key: &'static str,
     /// Columns or arrays.
@@ -54,7 +54,7 @@ impl<'a> Pick<'a> {
 }
 
 /// The records of a file, unconverted.
-pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
+pub fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
     let of_array: Table;
     let table = match held {
         Content::Table(table) => table,

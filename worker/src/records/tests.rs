@@ -1,5 +1,6 @@
 use super::clock::with_clock;
 use super::*;
+use crate::files::npy_bytes as npy;
 use serde_json::{Value, json};
 
 /// A temporary folder of record files.
@@ -36,16 +37,6 @@ impl Folder {
 fn csv(size: f64) -> Vec<u8> {
     let line = |n: usize| format!("{},{}\n", 100 * n + 2000, 1000.0 * if n == 3 { size + 0.5 } else { 0.5 });
     ("time,force\n".to_owned() + &(0..11).map(line).collect::<String>()).into_bytes()
-}
-
-pub(crate) fn npy(shape: &[u64], values: &[f64]) -> Vec<u8> {
-    use npyz::WriterBuilder;
-    let mut bytes = Vec::new();
-    let mut writer =
-        npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
-    writer.extend(values.iter().copied()).unwrap();
-    writer.finish().unwrap();
-    bytes
 }
 
 const KEYS: &str = r#"{ "time": "time", "force": ["force"], "time_unit": "ms", "force_unit": "mN", "resample": "linear",

@@ -6,6 +6,7 @@
 
 use metasense::look::row;
 use metasense::say;
+use metasense_lab::verify::relative;
 use metasense_numerics::Pool;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
@@ -15,7 +16,6 @@ use metasense_numerics::dynamics::{
 use metasense_worker::clock::cpu_seconds;
 use metasense_worker::reference::{bells, reference};
 use metasense_worker::simd::width;
-use metasense_worker::verify::relative;
 use serde_json::Value;
 use std::time::Instant;
 

@@ -6,8 +6,8 @@
 use std::fmt::{Display, Write};
 
 use clap::ValueEnum;
-use metasense_worker::demands::Demands;
-use metasense_worker::replay::{
+use metasense_lab::demands::Demands;
+use metasense_lab::replay::{
     Convolution, Integers, Replay, ReplayDecoder, SinglePrecision, holdout_error, layers,
 };
 

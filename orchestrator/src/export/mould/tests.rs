@@ -1,6 +1,6 @@
 //! Tests of `mould`.
 
-use metasense_worker::replay::Drawing;
+use metasense_lab::replay::Drawing;
 
 use super::super::outline::tests::{area_of_units, mould};
 use super::super::tests::{squares, squares_moved};

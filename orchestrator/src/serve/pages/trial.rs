@@ -5,9 +5,9 @@ use std::sync::Arc;
 use axum::extract::{Path, Query, State};
 use axum::response::Html;
 use maud::{Markup, html};
+use metasense_lab::replay::drawing;
+use metasense_lab::simulate;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::replay::drawing;
-use metasense_worker::simulate;
 use serde::Deserialize;
 
 use super::{ServerState, framed, live, query, trouble};

@@ -28,7 +28,7 @@ pub(crate) use readings::{own_reading, readings};
 pub use records::{HeldOutEstimates, Records};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
-pub(crate) use stacked::predict_on;
+pub use stacked::predict_on;
 
 use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};
@@ -126,6 +126,33 @@ pub(crate) fn new_decoder<'a>(
         BrainKind::Linear => Box::new(fitted::LinearDecoder::new(recipe, known, scales, pool)),
         BrainKind::Inverse => unreachable!("it reads a body, by the body's model: `Inverse`"),
     })
+}
+
+/// Forces (N, T, K) (N) of all samples estimated by the trial's network with these weights. Its training set is kind 0 in `kinds`.
+///
+/// # Errors
+/// If the linear part of a stacked decoder has no solution.
+///
+/// # Panics
+/// If the trial's decoder has no weights, or lengths do not match.
+pub fn predict_with(
+    trial: &Trial,
+    all: &Samples,
+    kinds: &[u8],
+    weights: &[f32],
+) -> Result<Vec<f64>, Trouble> {
+    let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
+    let known = all.select(&training);
+    let scales = [trial.scales.clone(), trial.network_scales.clone()];
+    let mut reader = new_decoder(trial.problem.recipe(), &known, scales, trial.pool)?;
+    *reader.training().expect("a brain with weights is a network") =
+        Some(NetworkTraining::of(weights.to_vec()));
+    let mut predictions = reader.predict(&all.signals);
+    let one = predictions.len() / kinds.len();
+    for (own, sample) in reader.predict_known().chunks_exact(one).zip(training) {
+        predictions[sample * one..][..one].copy_from_slice(own);
+    }
+    Ok(predictions)
 }
 
 /// State that a learner keeps from body to body.

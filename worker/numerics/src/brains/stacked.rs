@@ -101,7 +101,7 @@ fn stacked_data(
 }
 
 /// Forces (N, T, K) (N) estimated by a network stacked on this linear decoder.
-pub(crate) fn predict_on(
+pub fn predict_on(
     linear: &Fitted,
     shape: Shape,
     weights: &[f32],

@@ -3,11 +3,12 @@
 use super::casts::evaluate_casts;
 use super::evaluation::{BodyEvaluation, Comparison, Optimised};
 use super::fresh::evaluate;
+use super::nonlinear::nonlinear;
 use super::observe::{Log, Observe};
 use super::report::Report;
 use super::state::State;
+use super::under::under;
 use crate::dynamics;
-use crate::questions::{nonlinear, under};
 use crate::trial::{COARSE, DesignWithSolver, Problem, Trial};
 
 /// Separates the initial body's reason from the best body's.

@@ -1,8 +1,8 @@
 //! Results of the comparison: fresh decoders on the initial and on the best body.
 
 use super::report::Seconds;
+use super::{Nonlinear, UnderReading};
 use crate::brains::{Band, NetworkTraining, Reading};
-use crate::questions::{Nonlinear, UnderReading};
 use crate::trial::{Counters, FAILED, Problem, Spread, Trouble, mean_error};
 
 /// A fresh decoder on a body.

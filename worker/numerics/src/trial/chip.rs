@@ -51,7 +51,7 @@ pub enum Size {
 
 impl Size {
     /// Standard deviation per channel; `rms` is the RMS of each channel.
-    pub(crate) fn of(self, rms: &[f64], channels: &[usize]) -> Vec<f64> {
+    pub fn of(self, rms: &[f64], channels: &[usize]) -> Vec<f64> {
         let size = |(rms, &channel): (&f64, &usize)| match self {
             Self::Relative(part) => part * rms,
             Self::Physical(size) => size[usize::from(channel == 2)],
@@ -67,8 +67,9 @@ pub struct Chip {
     /// Measured channels of each sensor: a_x (0), a_y (1), ω (2).
     channels: Vec<usize>,
     /// Standard deviation per measured channel.
-    pub(crate) noise: Vec<f64>,
-    pub(crate) bias: Vec<f64>,
+    pub noise: Vec<f64>,
+    /// Standard deviation of the constant error per measured channel.
+    pub bias: Vec<f64>,
     range: [f64; 2],
     resolution: [f64; 2],
 }

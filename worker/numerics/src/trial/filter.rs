@@ -73,7 +73,7 @@ impl Disturbance {
     }
 
     /// Complex gain of the filter at this frequency (Hz).
-    pub(crate) fn passes(&self, hertz: f64) -> c64 {
+    pub fn passes(&self, hertz: f64) -> c64 {
         let part = hertz / self.bandwidth;
         c64::cis(-TAU * hertz * self.delay) / c64::new(1.0 - part * part, 2f64.sqrt() * part)
     }

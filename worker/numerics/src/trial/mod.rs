@@ -23,7 +23,7 @@ pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
 pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
-pub(crate) use scales::Scales;
+pub use scales::Scales;
 pub use settings::{
     BrainKind, CastObjective, Decoder, DecoderSharing, Evaluation, ObjectiveDomain, Optimise, Protocol,
     Ridge, Scaling, Schedule, StepTraining, Terms, Training,
@@ -55,12 +55,15 @@ pub struct Trial<'a> {
     usual: Pilot,
     /// The accurate integrator of the spec, not tuned.
     requested_solver: Solver,
-    pub(crate) train: Forces,
+    /// Forces of the training samples.
+    pub train: Forces,
     pub(crate) test: Forces,
-    pub(crate) scales: Scales,
+    /// Scales of the linear decoder.
+    pub scales: Scales,
     /// Scales of the networks.
-    pub(crate) network_scales: Scales,
-    pub(crate) chip: Option<Chip>,
+    pub network_scales: Scales,
+    /// Chips of the sensors.
+    pub chip: Option<Chip>,
     /// Cholesky factor L of the correlation of node shifts in casts.
     likeness: Vec<f64>,
     /// The initial body under the training forces; determines the scales.
@@ -303,7 +306,7 @@ impl<'a> Trial<'a> {
     }
 
     /// The chips' readings (N, T, channels) of simulated signals.
-    pub(crate) fn disturbed_signals(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
+    pub fn disturbed_signals(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
         let mut signals = self.problem.read(signals, forces.samples);
         if let Some(chip) = &self.chip {
             chip.disturb(&mut signals, forces);
@@ -313,13 +316,13 @@ impl<'a> Trial<'a> {
 }
 
 /// Tunes an integrator on a body with the first samples.
-pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Pilot {
+pub fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Pilot {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
     tuned(problem, &problem.scene, design, &forces, solver, pool)
 }
 
 /// Tunes an integrator on any scene under given forces.
-pub(crate) fn tuned(
+pub fn tuned(
     problem: &Problem,
     scene: &Scene,
     design: &[f64],
@@ -332,7 +335,7 @@ pub(crate) fn tuned(
 }
 
 /// Simulates on the clock of the motion, in f64 for the inverse decoder, to which f32 rounding would be noise.
-pub(crate) fn simulated(
+pub fn simulated(
     problem: &Problem,
     scene: &Scene,
     design: &[f64],
@@ -346,9 +349,11 @@ pub(crate) fn simulated(
     problem.body.simulate(&scene, &Run { design, forces: &forces, solver, keep_tape, double }, pool)
 }
 
+/// Checks that all samples succeeded.
+///
 /// # Errors
 /// The outcome of the first failed sample.
-pub(crate) fn check_outcomes(outcomes: &[Outcome]) -> Result<(), Trouble> {
+pub fn check_outcomes(outcomes: &[Outcome]) -> Result<(), Trouble> {
     match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
         Some(&outcome) => Err(Trouble::Simulation(outcome)),
         None => Ok(()),
@@ -358,9 +363,11 @@ pub(crate) fn check_outcomes(outcomes: &[Outcome]) -> Result<(), Trouble> {
 /// One of `FAILURE_RATIO` samples may fail, rounded to the nearest integer.
 const FAILURE_RATIO: usize = 32;
 
+/// Checks that few samples failed.
+///
 /// # Errors
 /// If too many samples failed: the outcome of the first.
-pub(crate) fn check_failures(outcomes: &[Outcome]) -> Result<(), Trouble> {
+pub fn check_failures(outcomes: &[Outcome]) -> Result<(), Trouble> {
     let failed = outcomes.iter().filter(|&&outcome| outcome != Outcome::Ok).count();
     if failed > (outcomes.len() + FAILURE_RATIO / 2) / FAILURE_RATIO {
         check_outcomes(outcomes)
@@ -370,7 +377,7 @@ pub(crate) fn check_failures(outcomes: &[Outcome]) -> Result<(), Trouble> {
 }
 
 /// Sets the forces of failed samples to zero; returns which samples failed and had forces.
-pub(crate) fn clear_failed_forces(forces: &mut Forces, outcomes: &[Outcome]) -> Vec<bool> {
+pub fn clear_failed_forces(forces: &mut Forces, outcomes: &[Outcome]) -> Vec<bool> {
     let len = forces.panels * (forces.instants + 1);
     let one = |(history, &outcome): (&mut [f64], &Outcome)| {
         let failed = outcome != Outcome::Ok && history.iter().any(|f| *f != 0.0);

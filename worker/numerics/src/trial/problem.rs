@@ -325,19 +325,19 @@ impl Problem {
     }
 
     /// Targets (N, T, K) of the decoders (N).
-    pub(crate) fn targets(&self, forces: &Forces) -> Vec<f64> {
+    pub fn targets(&self, forces: &Forces) -> Vec<f64> {
         targets(forces, self.scene.instants, self.low_pass())
     }
 
     /// Signals (N, T, channels) with the targets of `forces`.
-    pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
+    pub fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
         let Shape { instants, inputs, outputs, .. } = self.shape();
         let sizes = Sizes { instants, channels: inputs, outputs };
         Samples::new(sizes, signals, self.targets(forces))
     }
 
     /// Force histories on the clock of the signals: the targets, preceded by the forces at instant 0.
-    pub(crate) fn to_signal_clock(&self, forces: Forces) -> Forces {
+    pub fn to_signal_clock(&self, forces: Forces) -> Forces {
         let (instants, panels) = (self.scene.instants, forces.panels);
         if forces.instants == instants {
             return forces;

@@ -12,15 +12,15 @@ use crate::brain::Real;
 
 /// Normalisation of signals and forces.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Scales {
+pub struct Scales {
     /// Value of each signal channel (3M) that becomes x = 0.
-    pub(crate) offset: Vec<f64>,
+    pub offset: Vec<f64>,
     /// Value above the offset that becomes x = 1: the RMS of each channel (3M), or half its range.
-    pub(crate) channels: Vec<f64>,
+    pub channels: Vec<f64>,
     /// Force of each panel (N) that becomes y = 0: its mean or minimum.
-    pub(crate) mean: Vec<f64>,
+    pub mean: Vec<f64>,
     /// Force above it that becomes y = 1 (N): the standard deviation, or the range.
-    pub(crate) deviation: Vec<f64>,
+    pub deviation: Vec<f64>,
 }
 
 impl Scales {

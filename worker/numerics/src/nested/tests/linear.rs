@@ -248,7 +248,7 @@ fn readings_of_forces_in_single_precision_are_those_in_double() {
     }
 }
 
-/// A stacked network has additional inputs. Its estimates of training samples are out-of-fold, and a replay reproduces its errors.
+/// A stacked network has additional inputs. Its estimates of training samples are out-of-fold.
 #[test]
 fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let mut problem = Problem { decoder_kind: BrainKind::Stacked, ..linear(LINEAR[2]) };
@@ -258,16 +258,6 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let network = &found.optimised.networks[0];
     assert_eq!((found.optimised.networks.len(), problem.reader_shape().inputs), (2, 5));
     assert_eq!(network.weights.len(), problem.reader_shape().weights());
-    let again = replay(&problem, &found.optimised.design, &network.weights, &pool(1)).unwrap();
-    for (set, recorded) in
-        [network.error_train, network.error_test, network.error_holdout].into_iter().enumerate()
-    {
-        let of_set = again.split.iter().zip(&again.errors).filter(|(s, _)| usize::from(**s) == set);
-        let errors: Vec<f64> = of_set.filter_map(|(_, e)| *e).collect();
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        assert!((mean / recorded.unwrap() - 1.0).abs() < 1e-6, "set {set}: {mean} {recorded:?}");
-    }
-
     let pool = pool(1);
     let trial = Trial::new(&problem, &pool).unwrap();
     let stack =

@@ -1,0 +1,16 @@
+//! Algorithms of the questions: small motions, information of the sensors, replays and tasks, checks of records.
+
+mod bound;
+mod chain;
+pub mod check;
+pub mod modes;
+mod operator;
+mod replay;
+pub mod tasks;
+
+pub use bound::{Bound, bound};
+pub use operator::{OperatorFigures, compute_figures};
+pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};
+
+#[cfg(test)]
+mod tests;
