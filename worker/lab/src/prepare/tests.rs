@@ -7,7 +7,7 @@ use serde_json::json;
 fn a_unit_that_is_turned_over_needs_a_given_mass() {
     let own = small_trial_with("feasible", "limits", json!(false));
     let mut given = small_trial_with("body", "inertia", json!("initial"));
-    given.feasible = own.feasible.clone();
+    given.feasible = own.feasible;
     let problem = prepared(&own).unwrap();
     let (layout, unit) = (&problem.scene.layout, 4);
     let mut design = problem.initial.clone();
