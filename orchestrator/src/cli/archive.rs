@@ -124,8 +124,8 @@ fn readme(story: &ReportData, names: &[String], made: &Table) -> String {
          | `{DATABASE}` | all rows (SQLite); `metasense query {DATABASE}` lists the views |\n\
          | `{PROVENANCE}` | code, compiler, processor and instruction set of all finished trials |\n\
          | `{MANIFEST}` | RO-Crate 1.1: every file with its SHA-256 |\n\n## Run it again\n\n\
-         The same code gives the same bits with the same instruction set, on any machine that has it. The last command compares each trial \
-         and ends with exit code 1 if any bit differs.\n\n",
+         The same code gives the same bits with the same instruction set and C library. The last command compares each trial and ends \
+         with exit code 1 if any bit differs.\n\n",
         names.join(", "),
         counted(story.states.all, "trial"),
         story.states.done
