@@ -168,6 +168,9 @@ fn a_foreign_body_is_trained_whatever_kills_its_process() {
     assert!(design[3..].iter().all(|w| (0.1..=2.0).contains(w)), "{design:?}");
     assert!(design[..3].iter().zip([20.0, 30.0, 40.0]).any(|(a, b)| (a - b).abs() > 0.1), "{design:?}");
     calm.output(&["report", "results/low.sqlite", "--out", "r.html"]);
+    let report = std::fs::read_to_string(calm.path("r.html")).unwrap();
+    assert_eq!(report.matches("data:image/svg+xml,%3C%73%76%67").count(), 2);
+    assert!(!report.contains("are missing"), "{report}");
     calm.output(&["analyse", "results/low.sqlite"]);
     calm.output(&["body", "draw", "s.toml", "--out", "d.svg"]);
     assert!(std::fs::read_to_string(calm.path("d.svg")).unwrap().starts_with("<svg"));
@@ -215,6 +218,48 @@ fn a_body_is_verified() {
     let said = String::from_utf8_lossy(&wrong.stdout).into_owned();
     assert_eq!(wrong.status.code(), Some(1), "{said}{}", error(&wrong));
     assert!(said.lines().any(|line| line.contains("derivative") && line.contains("false")), "{said}");
+}
+
+/// Records are compared with the signals that the body's program computes under the same forces. Inverse decoders and twins,
+/// which need a model of polygons, are rejected by name.
+#[test]
+fn records_of_a_foreign_body_are_evaluated() {
+    let bench = bench("");
+    let spec = SPEC.replace("sensors = [1, 2]\nseeds = [1, 2]", "sensors = [1]\nseeds = [1]");
+    bench.file("s.toml", &spec.replace("noise = 0.01", "placements = [[0]]"));
+    let (records, steps, dt) = (12, 20, 0.01);
+    let force =
+        |i: usize, k: usize, n: usize| ((1 + i * (k + 1)) as f64 * 0.3 + n as f64 * 0.4).sin().max(0.0);
+    let (mut forces, mut signals) = (Vec::new(), Vec::new());
+    for i in 0..records {
+        forces.extend((0..2).flat_map(|k| (0..=steps).map(move |n| force(i, k, n))));
+        let advance = |x: &mut f64, n| {
+            *x += dt * (-20.0 * *x + 1.0 * force(i, 0, n) + 0.9 * force(i, 1, n));
+            Some(*x)
+        };
+        signals.extend((0..steps).scan(0.0, advance));
+    }
+    bench.write_array("f.npy", &[records as u64, 2, steps as u64 + 1], &forces);
+    bench.write_array("x.npy", &[records as u64, steps as u64, 1], &signals);
+    let described = "[recorded]\nfiles = [\"f.npy\"]\nrate = 100.0\n[signals]\nfiles = [\"x.npy\"]\nrate = 100.0\nstart = 0.01\n";
+    bench.file("r.toml", described);
+    let evaluate = ["lab", "evaluate", "s.toml", "--records", "initial=r.toml", "--format", "csv"];
+    let table = bench.output(&[&evaluate[..], &["--out-dir", "e"]].concat());
+    assert_eq!(table.lines().count(), 3, "{table}");
+    let [measured, simulated] =
+        ["signals_initial", "simulated_signals_initial"].map(|name| bench.member("e/records.npz", name));
+    assert!(
+        measured.iter().zip(&simulated).all(|(a, b)| (a - b).abs() < 1e-12),
+        "{measured:?}\n{simulated:?}"
+    );
+    for option in [["--brain", "inverse"], ["--twin", "initial=t.toml"]] {
+        let refused = bench.metasense(&[&evaluate[..], &option].concat());
+        let said = error(&refused);
+        assert!(
+            refused.status.code() == Some(2) && said.contains(option[0]) && said.contains("polygons"),
+            "{said}"
+        );
+    }
 }
 
 /// Keys for polygons only and nonexistent places are rejected by name before the run starts.

@@ -389,4 +389,6 @@ pub struct TrialResult {
     pub bands: [Vec<Band>; 2],
     /// Errors of both bodies under other kinds of forces, if requested.
     pub under: Vec<UnderReading>,
+    /// Drawings (SVG) of the initial and of the trained body by an external body's program; empty: none.
+    pub drawings: Vec<String>,
 }

@@ -29,6 +29,8 @@ use process::{Array, Process};
 pub const TIME_LIMIT: f64 = 600.0;
 /// Restarts of the process per call.
 const RESTARTS: usize = 2;
+/// Largest drawing that is stored with a result (bytes).
+const DRAWING: usize = 1 << 20;
 
 /// The process of this worker; it runs the command of the last call.
 static PROCESS: Mutex<Option<Process>> = Mutex::new(None);
@@ -55,7 +57,7 @@ fn duration(time_limit: Option<f64>) -> Duration {
 }
 
 /// The kind of a fault.
-pub fn named(fault: &Fault) -> BodyFault {
+pub(crate) fn named(fault: &Fault) -> BodyFault {
     BodyFault::ALL.iter().find(|known| known.name() == fault.name).copied().unwrap_or(BodyFault::Invalid)
 }
 
@@ -298,6 +300,11 @@ impl Body for External {
         Box::new(Limits { body: self.clone(), linear: limits(&self.0.described, problem.initial.len()) })
     }
 
+    fn svg(&self, design: &[f64]) -> Option<String> {
+        let svg = self.0.described.draw.then(|| self.draw(design))?.ok()?;
+        (svg.len() <= DRAWING).then_some(svg)
+    }
+
     fn failure(&self) -> Option<Fault> {
         self.0.fault.get().cloned()
     }
@@ -318,7 +325,8 @@ impl Tape for Call {
     fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, Counters) {
         let Self { body, scene, design, forces, tolerance, well } = self;
         let one = scene.instants * scene.sensors.len() * body.channels();
-        let own: Vec<f64> = well.iter().flat_map(|i| &cotangent[i * one..][..one]).copied().collect();
+        let mut own = Vec::with_capacity(well.len() * one);
+        well.iter().for_each(|i| own.extend_from_slice(&cotangent[i * one..][..one]));
         let question = Question { scene, design, forces, tolerance: *tolerance };
         let found = body.vjp(&question, &own, pool.heartbeat());
         (found.unwrap_or_else(|_| vec![f64::NAN; design.len()]), Counters::default())

@@ -58,6 +58,14 @@ pub enum Failure {
     Shortage(String),
 }
 
+impl Failure {
+    /// The failure of an external body's process.
+    #[must_use]
+    pub fn of_body(fault: trial::Fault) -> Self {
+        Self::Body { fault: external::named(&fault), detail: fault.detail }
+    }
+}
+
 /// Runs a trial from the start, or from one of its checkpoints.
 ///
 /// # Errors
@@ -77,9 +85,12 @@ pub fn run_trial(
     let mut watch = Watch { observer, store: 0.0, body: &*problem.body };
     let optimised = Trial::new(&problem, pool).and_then(|trial| nested::optimise(&trial, resume, &mut watch));
     if let Some(fault) = problem.body.failure() {
-        return Err(Failure::Body { fault: external::named(&fault), detail: fault.detail });
+        return Err(Failure::of_body(fault));
     }
-    optimised?.map(|optimised| result(trial, optimised, placed, pool)).ok_or(Failure::Stopped)
+    let optimised = optimised?.ok_or(Failure::Stopped)?;
+    let designs = [&optimised.initial, &optimised.optimised].map(|body| &body.design);
+    let drawings = designs.iter().map_while(|design| problem.body.svg(design)).collect();
+    Ok(TrialResult { drawings, ..result(trial, optimised, placed, pool) })
 }
 
 const NO_FORCE: &str = "stimuli: no training sample has a force; check stimuli.onset and stimuli.amplitude against time.duration, or the \
@@ -116,6 +127,7 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
         casts: optimised.casts.map(|casts| convert::cast_readings(&casts)),
         bands: optimised.bands.map(|bands| convert::bands(&bands)),
         under: convert::under_readings(trial, &optimised.under),
+        drawings: Vec::new(),
     }
 }
 

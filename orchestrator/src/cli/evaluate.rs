@@ -13,6 +13,7 @@ use metasense_lab::inverse::holdout;
 use metasense_lab::measured::Measured;
 use metasense_lab::twin::{self, Twin};
 use metasense_schemas::spec::{BrainKind, TrialSpec};
+use metasense_worker::problem::external::polygons;
 use metasense_worker::run::Failure;
 
 use super::named::{Named, read_records};
@@ -104,6 +105,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (specs, mut designs) = specs_and_designs(&args).await?;
     let brain = brain(&args, &specs[0])?;
     let inverse = brain == BrainKind::Inverse;
+    if inverse || !args.twin.is_empty() {
+        let option = if inverse { "--brain inverse" } else { "--twin" };
+        polygons(&specs[0].body).map_err(|e| Error::Usage(format!("{option}: {e}")))?;
+    }
     let (layout, initial) =
         metasense_lab::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
     designs.entry("initial".into()).or_insert(initial);
@@ -116,7 +121,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         if !args.records.iter().any(|(other, _)| other == name) {
             return Err(Error::Usage(format!("--design {name}: pass --records {name}=FILE as well")));
         }
-        designs.insert(name.clone(), metasense_worker::design::read(file, &layout)?);
+        let design = match specs[0].body.kind.is_polygons() {
+            true => metasense_worker::design::read(file, &layout)?,
+            false => metasense_worker::design::read_array(file, designs["initial"].len())?,
+        };
+        designs.insert(name.clone(), design);
     }
     let mut twins = BTreeMap::new();
     for (name, file) in &args.twin {

@@ -1,10 +1,13 @@
 //! Converts a trial's body into the sketch that `look` draws.
 
+use maud::html;
 use metasense_lab::replay::{Drawing, Panel};
 use metasense_worker::design::{Active, Kind, Violation};
 
+use crate::analysis::Body;
 use crate::look::body::{Arrow, Mark, Numbers, Point, Sketch, frame, middle};
-use crate::look::{Figure, Table, legend, row};
+use crate::look::{Figure, Picture, Table, legend, row};
+use crate::store::StoredTrial;
 
 /// The body with its active and violated constraints.
 pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
@@ -55,6 +58,32 @@ pub fn figure(
     let pictures =
         bodies.iter().map(|(title, _, sketch)| sketch.picture(view, title, Numbers::Units)).collect();
     Figure::new(name, title, caption, legend(&entries), pictures, Table::new("body unit node x y", rows))
+}
+
+/// The drawings that an external body's program made of both bodies; `None` without drawings. As images they run no scripts.
+pub fn drawn(stored: &StoredTrial) -> Option<Figure> {
+    let name = stored.spec().body.description.as_ref().map_or("", |description| &description.name);
+    let picture = |(body, svg): (Body, &String)| {
+        let view: Vec<f64> = svg
+            .split_once("viewBox=\"")
+            .map_or("", |(_, rest)| rest.split('"').next().unwrap_or(""))
+            .split([' ', ','])
+            .filter_map(|side| side.parse().ok())
+            .collect();
+        let ratio = if view.len() == 4 { view[3] / view[2] } else { 1.0 };
+        let height = if (0.1..=10.0).contains(&ratio) { 100.0 * ratio } else { 100.0 };
+        let title = format!("{} body", body.word());
+        let encoded: String = svg.bytes().map(|byte| format!("%{byte:02X}")).collect();
+        let marks =
+            html! { image width="100" height=(height) href=(format!("data:image/svg+xml,{encoded}")) {} };
+        Picture { title, class: "body", view: [0.0, 0.0, 100.0, height], marks }
+    };
+    let pictures: Vec<_> = Body::ALL.into_iter().zip(&stored.drawings).map(picture).collect();
+    let numbers = (0..).zip(stored.designs[0].iter().zip(&stored.designs[1]));
+    let data =
+        || Table::new("number initial optimised", numbers.map(|(i, (a, b)): (usize, _)| row![i, a, b]));
+    let caption = format!("Initial and trained body, drawn by {name}.");
+    Figure::some("bodies", "The body before and after", caption, legend(&[]), pictures, data)
 }
 
 /// The mark of a constraint: a line or a dot.

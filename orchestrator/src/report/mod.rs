@@ -94,6 +94,9 @@ pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<Strin
     .flatten()
     .collect();
     let replayed = match &story.stored {
+        Some(stored) if !stored.spec().body.kind.is_polygons() => {
+            Ok(body::drawn(stored).into_iter().collect())
+        }
         Some(stored) => samples::Replayed::new(stored, threads)
             .and_then(|replayed| replayed.figures(None))
             .map_err(|e| e.to_string()),

@@ -21,6 +21,8 @@ pub struct StoredTrial {
     pub solver: String,
     /// Half-widths (N) of the bands around the estimated forces, T × K: per instant and per sample; empty if not stored.
     pub bands: [[Vec<f64>; 2]; 2],
+    /// Drawings (SVG) of both bodies by an external body's program; empty: none.
+    pub drawings: Vec<String>,
 }
 
 impl StoredTrial {
@@ -39,14 +41,17 @@ impl Reader {
     pub async fn stored(&mut self, hash: &str) -> Result<Option<StoredTrial>, StoreError> {
         let named = quoted(&self.hash_of(hash).await?);
         let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised", "solver"];
-        let sql = format!("SELECT {} FROM v_trial WHERE hash = {named}", columns.join(", "));
+        let columns_of_view = columns.join(", ");
+        let drawings = format!("(SELECT result->>'$.drawings' FROM trial WHERE hash = {named}) AS drawings");
+        let sql = format!("SELECT {columns_of_view}, {drawings} FROM v_trial WHERE hash = {named}");
         let mut found = None;
         self.each(&sql, |row| {
-            found = Some(columns.map(|column| row.text(column).to_owned()));
+            let drawings = serde_json::from_str(row.text("drawings")).unwrap_or_default();
+            found = Some((columns.map(|column| row.text(column).to_owned()), drawings));
             Ok::<_, StoreError>(())
         })
         .await?;
-        let Some([hash, state, spec, units, units_optimised, solver]) = found else {
+        let Some(([hash, state, spec, units, units_optimised, solver], drawings)) = found else {
             return Err(StoreError::UnknownTrial { path: self.path().to_owned(), hash: hash.to_owned() });
         };
         if state != "done" {
@@ -77,6 +82,6 @@ impl Reader {
                 }
             }
         }
-        Ok(Some(StoredTrial { hash, specs, designs, weights, losses, solver, bands }))
+        Ok(Some(StoredTrial { hash, specs, designs, weights, losses, solver, bands, drawings }))
     }
 }

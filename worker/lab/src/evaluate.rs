@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::inverse::{Posterior, with_brain};
 use crate::measured::Measured;
-use crate::prepare::{check_design, placed, prepared};
+use crate::prepare::{any_body, check_design, placed};
 use crate::questions;
 use crate::twin::Twin;
 
@@ -103,7 +103,7 @@ pub fn evaluate(
     threads: usize,
     kept: &dyn NetworkStore,
 ) -> Result<Evaluated, Failure> {
-    let problem = prepared(trial)?;
+    let problem = any_body(trial)?;
     let Effort { folds, seeds, iterations, brain } = effort;
     if brain != BrainKind::Cnn {
         solvable(trial, problem.decoder.lags).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
@@ -286,7 +286,14 @@ pub fn simulated(
     threads: usize,
 ) -> Result<Vec<f64>, Failure> {
     let pool = pool(threads)?;
-    let problem = placed(trial, &pool)?;
+    let problem = match trial.body.kind.is_polygons() {
+        true => placed(trial, &pool)?,
+        false => any_body(trial)?,
+    };
     check_design(&problem, design)?;
-    Ok(questions::sense(&problem, design, forces, &pool)?)
+    let signals = questions::sense(&problem, design, forces, &pool);
+    match problem.body.failure() {
+        Some(fault) => Err(Failure::of_body(fault)),
+        None => Ok(signals?),
+    }
 }

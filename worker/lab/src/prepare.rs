@@ -10,13 +10,21 @@ use metasense_worker::problem::problem;
 use metasense_worker::run::{Failure, Pool, pool};
 use metasense_worker::{convert, design, memory};
 
+/// Converts a spec to a problem.
+///
+/// # Errors
+/// If the spec is invalid.
+pub fn any_body(trial: &TrialSpec) -> Result<Problem, Failure> {
+    problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
+}
+
 /// Converts a spec of a body of polygons to a problem.
 ///
 /// # Errors
 /// If the spec is invalid, or its body is an external one.
 pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
-    let found = polygons(&trial.body).and_then(|()| problem(trial));
-    found.map_err(|invalid| Failure::Rejected(invalid.to_string()))
+    polygons(&trial.body).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    any_body(trial)
 }
 
 /// Converts a spec to a problem, and checks that `design` fits its body.
@@ -35,6 +43,9 @@ pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure
 /// If the length is wrong, a number is not finite, or a unit has no mass, as inverted units do unless masses are given.
 pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
+    if problem.scene.layout.units() == 0 {
+        return Ok(()); // an external body
+    }
     let geometry = problem.scene.geometry(design);
     let has_mass = |unit: &usize| {
         let [area, mass, moment] = [&geometry.area, &geometry.mass, &geometry.moment].map(|of| of[*unit]);

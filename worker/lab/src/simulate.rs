@@ -8,7 +8,7 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::memory::check_states;
 use metasense_worker::run::{Failure, pool};
 
-use crate::prepare::{check_design, finite, placed, prepared};
+use crate::prepare::{any_body, check_design, finite, placed};
 
 /// Result of a simulation of N samples, T instants, M sensors.
 #[derive(Debug, Clone, PartialEq)]
@@ -140,11 +140,11 @@ pub fn simulate(
     Ok(found)
 }
 
-/// The layout of a trial's body, and its initial design.
+/// The layout of a trial's body, without units if the body is external, and its initial design.
 ///
 /// # Errors
 /// If the spec is invalid.
 pub fn body(trial: &TrialSpec) -> Result<(metasense_worker::design::Layout, Vec<f64>), Failure> {
-    let problem = prepared(trial)?;
+    let problem = any_body(trial)?;
     Ok((problem.scene.layout, problem.initial))
 }

@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Frame, Panel, PartFactors, Scene, Stiffness};
+use metasense_numerics::dynamics::{Panel, Scene};
 use metasense_schemas::spec::{
     self, Body, BodyKind, Channel, Description, Feasible, Sensors, Solver, SweepSpec, TrialSpec, flatten,
 };
@@ -217,26 +216,11 @@ pub(super) fn parts(trial: &TrialSpec, description: &Description) -> Result<OfBo
     let remedy = format!("the body has {} panels", description.panels.len());
     require(panels > 0 && trial.panel_units.len() == panels, "sweep.panels", panels, &remedy)?;
     let scene = Scene {
-        layout: Layout::default(),
-        density: 0.0,
-        stiffness: Stiffness { stretch: 0.0, shear: 0.0, bend: 0.0 },
-        parts: PartFactors::default(),
-        relaxation: None,
-        damping_ratio: 0.0,
-        damping: None,
-        inertia: None,
-        contact: None,
-        linearised: false,
-        clamped: Vec::new(),
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: trial.panel_units.iter().map(|place| Panel::central(*place, [0.0; 2])).collect(),
         sensors: trial.sensor_units.clone(),
-        chip: None,
-        mount: None,
-        frame: Frame::World,
         duration: trial.time.duration,
         instants: trial.time.samples,
+        ..Scene::default()
     };
     let limits = limits(&trial.feasible)?;
     Ok(OfBody { body: Arc::new(external), scene, limits, initial: design, relative_to: None })

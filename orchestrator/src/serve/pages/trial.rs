@@ -150,6 +150,11 @@ impl Trial {
         self.steps.rows.iter().filter_map(point).collect()
     }
 
+    /// Whether another program simulates the body.
+    fn is_external(&self) -> bool {
+        self.designs.first().is_some_and(|(_, spec, _)| !spec.body.kind.is_polygons())
+    }
+
     /// Drawings of the bodies.
     pub fn drawings(&self) -> Vec<(String, String, Sketch)> {
         let drawn = |(name, spec, design): &(String, TrialSpec, Vec<f64>)| {
@@ -224,7 +229,7 @@ pub async fn page(
         // not live, so that the slider keeps its position; only the designs are replaced
         (course_of(&trial))
         @for (id, part) in &parts { (live(id, part)) }
-        section id="replay" {
+        @if !trial.is_external() { section id="replay" {
             h2 { "Forces and waves" }
             @match (&replayed, &trial.stored) {
                 (Some((again, figures)), _) => {
@@ -236,7 +241,7 @@ pub async fn page(
                 }
                 (None, None) => p class="quiet" { "Available once the trial is done." }
             }
-        }
+        } }
         (spec(&trial))
     };
     framed(&served, &at, "trial", &title, following.then_some(seen.generation), &content)
@@ -332,6 +337,9 @@ fn curves_of(trial: &Trial) -> Markup {
 }
 
 fn bodies_of(trial: &Trial) -> Markup {
+    if let Some(figure) = trial.stored.as_ref().and_then(body::drawn) {
+        return figure.html(&[]);
+    }
     let drawings = trial.drawings();
     if drawings.is_empty() {
         return html! {};

@@ -4,7 +4,7 @@ use crate::body::{Geometry, Layout};
 use nalgebra::{MatrixXx3, RowVector3};
 
 /// Stiffnesses of a ligament.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stiffness {
     /// k_l (N/mm).
     pub stretch: f64,
@@ -122,9 +122,10 @@ pub struct Mount {
 }
 
 /// Frame of measured accelerations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Frame {
     /// Fixed axes.
+    #[default]
     World,
     /// Rotates with the unit: the acceleration rotated by −θ.
     Body,
@@ -185,8 +186,8 @@ impl Panel {
     }
 }
 
-/// All inputs of a simulation except design and forces.
-#[derive(Debug, Clone, PartialEq)]
+/// All inputs of a simulation except design and forces. The default has no units.
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Scene {
     /// Units and ligaments.
     pub layout: Layout,

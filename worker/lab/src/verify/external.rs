@@ -4,7 +4,7 @@ use metasense_numerics::Pool;
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::external::{External, Question, named};
+use metasense_worker::external::{External, Question};
 use metasense_worker::problem::external::body;
 use metasense_worker::problem::problem;
 use metasense_worker::run::Failure;
@@ -30,10 +30,7 @@ pub fn external(trial: &TrialSpec, pool: &Pool) -> Result<Vec<Row>, Failure> {
     let (initial, body) = body(trial).map_err(rejected)?;
     let problem = problem(trial).map_err(rejected)?;
     let forces = problem.forces(Purpose::Stimulus, 0, SAMPLES);
-    tests(&body, &problem.scene, &initial, &forces, trial.solver.tolerance, pool).map_err(|fault| {
-        let name = named(&fault);
-        Failure::Body { fault: name, detail: fault.detail }
-    })
+    tests(&body, &problem.scene, &initial, &forces, trial.solver.tolerance, pool).map_err(Failure::of_body)
 }
 
 fn tests(

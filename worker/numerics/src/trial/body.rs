@@ -31,6 +31,11 @@ pub trait Body: std::fmt::Debug + Send + Sync {
     /// The feasible designs.
     fn castable(&self, problem: &Problem) -> Box<dyn Castable>;
 
+    /// The body's own drawing (SVG) of a design, if it has one.
+    fn svg(&self, _design: &[f64]) -> Option<String> {
+        None
+    }
+
     /// The failure of the body's process, if any; results are then invalid.
     fn failure(&self) -> Option<Fault> {
         None
