@@ -35,13 +35,15 @@ def serve_body(
     tolerance: bool = False,
     version: str = "",
     batch: int = 16,
+    batched: bool = False,
 ) -> None:
     """Answers the calls of the worker that started this program until the worker ends.
 
     `simulate(alpha, forces, times)` returns the signals (T, S, C) of one sample. `forces` has shape (P, R + 1) for all panels,
     at equal intervals from 0 to `times[-1]`; `times` has shape (T,). With `tolerance=True`, `tolerance` is the fourth argument.
     Without `vjp`, JAX must be able to trace `simulate`; `batch` samples are computed at once. With `vjp(alpha, forces, times,
-    cotangent)`, which returns the gradient in `alpha` of the sum of cotangent × signals, `simulate` can be any function.
+    cotangent)`, which returns the gradient in `alpha` of the sum of cotangent × signals, `simulate` can be any function. With
+    `batched=True`, both take up to `batch` samples: forces (N, P, R + 1), signals and cotangent (N, T, S, C).
     `lower` and `upper` bound alpha; a constraint is `({number: coefficient}, least, most)`.
     """
     alpha = np.array(alpha0, dtype=np.float64)
@@ -55,7 +57,8 @@ def serve_body(
     }  # fmt: skip
     asked = _requests()
     places = (len(panels), len(sensors), len(channels))
-    body = (_Traced(simulate, batch) if vjp is None else _Plain(simulate, vjp), places, tolerance)
+    plain = vjp and _Plain(simulate, vjp, batch if batched else None)
+    body = (plain or _Traced(simulate, batch), places, tolerance)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # the function's prints go to standard error
     while (line := asked.get()) is not None:
@@ -121,9 +124,9 @@ def _answer(
     rest = (request["tolerance"],) if tolerance else ()
     if call == "apply":
         signals = body.apply(alpha, forces, times, rest)
-        if signals.shape[1:] != (len(times), sensors, channels):
-            wanted = (len(times), sensors, channels)
-            raise ValueError(f"signals of a sample have shape {signals.shape[1:]}: must be (T, S, C) = {wanted}")
+        wanted = (len(forces), len(times), sensors, channels)
+        if signals.shape != wanted:
+            raise ValueError(f"signals have shape {signals.shape}: must be (N, T, S, C) = {wanted}")
         return _put(request, "signals", signals[:, :, request["sensors"]])
     cotangent = np.zeros((*shape[:2], sensors, channels))
     cotangent[:, :, request["sensors"]] = _Memory.array(request, "cotangent")
@@ -138,18 +141,23 @@ def _put(request: dict[str, Any], name: str, values: ArrayLike) -> dict[str, Any
 
 
 class _Plain:
-    """A function with its own gradient, called per sample."""
+    """A function with its own gradient, called per sample or per batch."""
 
-    def __init__(self, simulate: Callable[..., Any], vjp: Callable[..., ArrayLike]) -> None:
-        self._simulate, self._vjp = simulate, vjp
+    def __init__(self, simulate: Callable[..., Any], vjp: Callable[..., ArrayLike], batch: int | None) -> None:
+        self._simulate, self._vjp, self._batch = simulate, vjp, batch
+
+    def _parts(self, values: Array) -> "list[Array] | Array":
+        batch = self._batch
+        return values if batch is None else [values[i : i + batch] for i in range(0, len(values), batch)]
 
     def apply(self, alpha: Array, forces: Array, times: Array, rest: tuple[float, ...]) -> Array:
-        return np.stack([np.asarray(self._simulate(alpha, sample, times, *rest)) for sample in forces])
+        found = [np.asarray(self._simulate(alpha, part, times, *rest)) for part in self._parts(forces)]
+        return np.stack(found) if self._batch is None else np.concatenate(found)
 
     def vjp(self, alpha: Array, forces: Array, times: Array, rest: tuple[float, ...], cotangent: Array) -> Array:
         gradient = np.zeros_like(alpha)
-        for sample, own in zip(forces, cotangent, strict=True):
-            gradient += np.asarray(self._vjp(alpha, sample, times, *rest, own))
+        for part, own in zip(self._parts(forces), self._parts(cotangent), strict=True):
+            gradient += np.asarray(self._vjp(alpha, part, times, *rest, own))
         return gradient
 
 
@@ -172,13 +180,13 @@ class _Traced:
 
     def _filled(self, values: Array, by: float) -> list[Array]:
         parts = [values[first : first + self._batch] for first in range(0, len(values), self._batch)]
-        missing = self._batch - len(parts[-1])
-        parts[-1] = np.concatenate([parts[-1], by * np.repeat(values[-1:], missing, axis=0)])
+        if missing := self._batch - len(parts[-1]):
+            parts[-1] = np.concatenate([parts[-1], by * np.repeat(values[-1:], missing, axis=0)])
         return parts
 
     def apply(self, alpha: Array, forces: Array, times: Array, rest: tuple[float, ...]) -> Array:
         found = [np.asarray(self._signals(alpha, part, times, rest)) for part in self._filled(forces, 1.0)]
-        return np.concatenate(found)[: len(forces)]
+        return (np.concatenate(found) if len(found) > 1 else found[0])[: len(forces)]
 
     def vjp(self, alpha: Array, forces: Array, times: Array, rest: tuple[float, ...], cotangent: Array) -> Array:
         gradient = np.zeros_like(alpha)

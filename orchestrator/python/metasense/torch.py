@@ -1,12 +1,32 @@
-"""A body's signals as a function of PyTorch, on the CPU in double precision."""
+"""A body's signals as a function of PyTorch, and a function of PyTorch as a body; on the CPU in double precision."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
+import metasense
 from metasense._metasense import Body
+
+
+def serve_body(simulate: Callable[..., torch.Tensor], alpha0: Any, **rest: Any) -> None:
+    """As `metasense.serve_body`, for a PyTorch function of one sample; `torch.func` vectorises and differentiates it."""
+    torch.set_num_threads(1)  # of each worker's process
+
+    def signals(alpha: torch.Tensor, forces: torch.Tensor, times: torch.Tensor, *more: float) -> torch.Tensor:
+        return torch.func.vmap(lambda sample: simulate(alpha, sample, times, *more))(forces)
+
+    def apply(alpha: Any, forces: Any, times: Any, *more: float) -> Any:
+        with torch.no_grad():
+            return signals(*map(torch.from_numpy, (alpha, forces, times)), *more).numpy()
+
+    def vjp(alpha: Any, forces: Any, times: Any, *more: Any) -> Any:
+        a, f, t, cotangent = map(torch.from_numpy, (alpha, forces, times, more[-1]))
+        return torch.func.vjp(lambda a: signals(a, f, t, *more[:-1]), a)[1](cotangent)[0].numpy()
+
+    metasense.serve_body(apply, alpha0, vjp=vjp, batched=True, **rest)
 
 
 def signals(body: Body, alpha: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:

@@ -59,3 +59,25 @@ def test_workers_of_a_data_loader(body, method):
     part = torch.utils.data.Subset(data, range(4))
     loader = torch.utils.data.DataLoader(part, 2, num_workers=2, multiprocessing_context=method, timeout=60)
     assert np.array_equal(torch.cat(list(loader)).numpy(), expected)
+
+
+LEVELS = """
+import torch
+from metasense.torch import serve_body
+
+def simulate(alpha, forces, times):
+    lag = times[:, None] - times[None, :]
+    kernels = torch.exp(-alpha[:, None, None] * lag.clamp(min=0.0)) * (lag >= 0)
+    return (kernels @ forces.sum(0)[1:]).T[:, :, None]
+
+serve_body(simulate, [3.0, 20.0], name="levels", panels=["a", "b"], sensors=["x", "y"], channels=["level"], batch=2)
+"""
+
+
+def test_a_function_of_torch_is_a_body(spec, tmp_path, command):
+    from test_serve import of_command
+
+    (tmp_path / "levels.py").write_text(LEVELS)
+    (tmp_path / "levels.toml").write_text(of_command(spec, "levels.py").replace("tolerance = 1e-7", ""))
+    table = command("lab", "verify", "levels.toml", cwd=tmp_path)
+    assert "derivative" in table and "false" not in table, table
