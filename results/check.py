@@ -689,9 +689,10 @@ def filtered():
         yield line[1:], found
 
 
-def plate():
-    for line in table("plate"):
-        of = rows("plate/trials.csv", sensors=line[0])
+def external_bodies():
+    for body, *line in table("external bodies"):
+        file = "network" if line.pop(1) == "network" else "trials"
+        of = rows(f"{body}/{file}.csv", sensors=line[0])
         initial, optimised = numbers(of, "initial"), numbers(of, "optimised")
         gains = [a / b for a, b in zip(initial, optimised)]
         yield line[1:], [f"{short(geometric(initial))} → {short(geometric(optimised))} %", with_interval(gains)]
@@ -929,7 +930,7 @@ def findings():
            + [law["6", "3"], law["6", "2"]])
 
 
-CHECKS = [quickstart, findings, authors, authors_casts, tasks, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, plate, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, findings, authors, authors_casts, tasks, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -75,7 +75,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("families sensors", bodies::families_sensors),
     ("pressed", bodies::pressed),
     ("filtered", bodies::filtered),
-    ("plate", bodies::plate),
+    ("external bodies", bodies::external),
     ("designs", bodies::designs),
     ("race", bodies::race),
     ("warm starts", bodies::warm_starts),

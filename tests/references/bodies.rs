@@ -83,18 +83,31 @@ pub fn filtered() -> String {
     table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
 }
 
-/// Plates that another program simulates.
-pub fn plate() -> String {
-    let all = rows("plate/trials.csv");
-    let line = |sensors: &str| {
-        let wanted = [("sensors", sensors)];
-        let errors = |name: &str| of(&all, &wanted).map(|row| number(row, name)).collect::<Vec<_>>();
-        let [initial, optimised] = ["initial", "optimised"].map(errors);
-        let gains: Vec<f64> = initial.iter().zip(&optimised).map(|(a, b)| (a / b).ln()).collect();
-        let [initial, optimised] = [initial, optimised].map(|errors| geometric(errors.into_iter()));
-        vec![sensors.to_owned(), format!("{initial} → {optimised} %"), with_interval(&gains, f64::exp)]
+/// Bodies that other programs simulate.
+pub fn external() -> String {
+    let lines = |(body, decoder, file): (&str, &str, &str)| {
+        let all = rows(&format!("{body}/{file}.csv"));
+        let line = |sensors: &str| {
+            let wanted = [("sensors", sensors)];
+            let errors = |name: &str| of(&all, &wanted).map(|row| number(row, name)).collect::<Vec<_>>();
+            let [initial, optimised] = ["initial", "optimised"].map(errors);
+            let gains: Vec<f64> = initial.iter().zip(&optimised).map(|(a, b)| (a / b).ln()).collect();
+            let [initial, optimised] = [initial, optimised].map(|errors| geometric(errors.into_iter()));
+            let named = [body, sensors, decoder].map(str::to_owned).to_vec();
+            [named, vec![format!("{initial} → {optimised} %"), with_interval(&gains, f64::exp)]].concat()
+        };
+        ["1", "2", "3", "4"]
+            .into_iter()
+            .filter(|m| of(&all, &[("sensors", *m)]).next().is_some())
+            .map(line)
+            .collect::<Vec<_>>()
     };
-    table(&["M", "error, initial → trained plate", "gain"], ["1", "2"].map(line))
+    let all =
+        [("plate", "linear", "trials"), ("magnets", "linear", "trials"), ("magnets", "network", "network")];
+    table(
+        &["body", "M", "decoder", "error with 3 % noise, initial → trained body", "gain"],
+        all.into_iter().flat_map(lines),
+    )
 }
 
 /// Searches for a design, and the errors of their designs on further seeds.

@@ -62,7 +62,7 @@ def test_an_error_of_the_function_is_told(spec, tmp_path):
     (tmp_path / "levels.py").write_text(LEVELS.replace("[:, :, None]", ""))
     (tmp_path / "levels.toml").write_text(of_command(spec, "levels.py").replace("tolerance = 1e-7", ""))
     done = subprocess.run([metasense.program(), "trial", "levels.toml"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode != 0 and "body_invalid" in done.stderr and "(30, 2, 1)" in done.stderr, done.stderr
+    assert done.returncode != 0 and "body_invalid" in done.stderr and ", 30, 2, 1)" in done.stderr, done.stderr
 
 
 def test_our_body_in_jax_is_our_body(spec, tmp_path, command, body):
@@ -83,12 +83,13 @@ def test_our_body_in_jax_is_our_body(spec, tmp_path, command, body):
     assert rows[0]["best_step"] == rows[1]["best_step"]
 
 
-def test_a_plate_has_the_gradient_of_its_signals(tmp_path, command):
+@pytest.mark.parametrize("name", ["plate", "magnets"])
+def test_an_example_has_the_gradient_of_its_signals(name, tmp_path, command):
     pytest.importorskip("jax")
-    text = (EXAMPLES / "plate.toml").read_text().replace("plate.py", str(EXAMPLES / "plate.py"))
+    text = (EXAMPLES / f"{name}.toml").read_text().replace(f'"{name}.py"', f'"{EXAMPLES / name}.py"')
     text = text.replace('"python3"', f'"{sys.executable}"')
-    (tmp_path / "plate.toml").write_text(text)
-    table = command("lab", "verify", "plate.toml", cwd=tmp_path)
+    (tmp_path / f"{name}.toml").write_text(text)
+    table = command("lab", "verify", f"{name}.toml", cwd=tmp_path)
     assert "derivative" in table and "false" not in table, table
 
 
@@ -103,3 +104,23 @@ def test_a_plate_rings_as_theory_says(tmp_path):
     rigidity = plate.MODULUS * plate.THICKNESS**3 / 12 / (1 - plate.POISSON**2)
     theory = 2 * np.pi**2 / plate.SIDE**2 * np.sqrt(rigidity / (plate.DENSITY * plate.THICKNESS))
     assert abs(lowest / theory - 1) < 0.03
+
+
+def test_the_torque_of_magnets_is_the_gradient_of_their_energy():
+    jax = pytest.importorskip("jax")
+    jax.config.update("jax_enable_x64", True)
+    from test_examples import load
+
+    magnets = load("magnets")
+    field, directions = np.array([0.3, -0.2]), np.linspace(0.0, 20.0, magnets.UNITS)
+
+    def energy(direction):
+        c, s = jax.numpy.cos(direction), jax.numpy.sin(direction)
+        pairs = c @ (magnets.XX @ c + magnets.XY @ s) + s @ (magnets.XY @ c + magnets.YY @ s)
+        return -magnets.MOMENT * (pairs / 2 + field[0] * c.sum() + field[1] * s.sum())
+
+    torque = magnets.torque(directions, field)
+    assert np.allclose(torque, -jax.grad(energy)(directions), rtol=1e-12, atol=0) and np.ptp(torque) > 0
+    x, y = (magnets.SPACING * 1e-3 * (axis[7] - axis[0]) for axis in (magnets.x, magnets.y))
+    by_a_dipole = 1e3 * 1e-7 * magnets.MOMENT * (3 * x * x / (x * x + y * y) - 1) / np.hypot(x, y) ** 3  # mT, on x
+    assert magnets.XX[7, 0] == pytest.approx(by_a_dipole, rel=1e-12)
