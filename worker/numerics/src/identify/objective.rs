@@ -158,7 +158,7 @@ impl<'a> Objective<'a> {
     /// Plans for a scene and forces: accurate, and coarse for Jacobian columns.
     fn plans(&self, scene: &Scene, design: &[f64], forces: &Forces) -> [Plan; 2] {
         let (scene, forces) = self.in_motion(scene, forces);
-        [self.solver, Solver::new(Method::Nystrom6, COARSE)]
+        [self.solver, Solver::new(Method::Nystrom4, COARSE)]
             .map(|solver| planned(&scene, design, &forces, &solver).double())
     }
 
