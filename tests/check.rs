@@ -16,12 +16,29 @@ fn look(bench: &Bench, records: &str, more: &[&str]) -> (Option<i32>, Vec<[Strin
     (done.status.code(), wrong.map(|row| ["place", "found", "remedy"].map(|key| text(row, key))).collect())
 }
 
+/// Accelerations that a chip samples too slowly are not compared; the rotation rate, which has fewer high frequencies, is.
+#[test]
+fn aliased_channels_are_not_compared() {
+    let bench = identify::bench();
+    let (code, rows) = look(&bench, "r.toml", &[]);
+    let [[place, ..]] = &rows[..] else { panic!("{rows:?}") };
+    assert!(
+        code == Some(0) && place.contains("a_x") && place.contains("a_y") && !place.contains('ω'),
+        "{rows:?}"
+    );
+}
+
 #[test]
 fn what_is_wrong_is_named_with_its_remedy() {
     let bench = identify::bench();
-    // records of the body as designed; orchestrator/python/tests/test_check.py has records of casts
-    bench.output(&["body", "simulate", "s.toml", "--forces", "f.npy", "--out-dir", "own"]);
-    std::fs::copy(bench.path("own/signals.npy"), bench.path("y.npy")).unwrap();
+    // records of another material; orchestrator/python/tests/test_check.py has records of a virtual laboratory
+    let finer = "[stimuli]\nforce_samples = 400";
+    bench.file("s.toml", &identify::SPEC.replace("samples = 40", "samples = 80").replace("[stimuli]", finer));
+    std::fs::copy(bench.path("c/signals.npy"), bench.path("y.npy")).unwrap();
+    bench.file(
+        "r.toml",
+        "[recorded]\nfiles = [\"h.npy\"]\nrate = 2000.0\n[signals]\nfiles = [\"y.npy\"]\nrate = 400.0\nstart = 0.0025\n",
+    );
     assert_eq!(look(&bench, "r.toml", &["--out-dir", "look"]), (Some(0), Vec::new()));
     for (file, start) in [
         ("index.html", "<!DOCTYPE html>"),
@@ -57,8 +74,8 @@ fn what_is_wrong_is_named_with_its_remedy() {
     wrong(&["signals.acceleration_unit = \"mm/s2\""], &format!("{text}acceleration_unit = \"g\"\n"));
     wrong(&["recorded.force_unit = \"N\""], &text.replace("[recorded]", "[recorded]\nforce_unit = \"mN\""));
     // the message names an unreadable record, and the others are checked
-    let (shape, mut forces) = bench.array("f.npy");
+    let (shape, mut forces) = bench.array("h.npy");
     forces[7] = f64::NAN;
-    bench.write_array("f.npy", &shape, &forces);
+    bench.write_array("h.npy", &shape, &forces);
     wrong(&["record 0", "must be a finite number"], &text);
 }

@@ -73,7 +73,7 @@ pub fn check(
         design,
         solver: problem.solver,
         channels: &read,
-        delay: problem.disturbance.map_or(0.0, |chip| chip.delay),
+        chip: problem.disturbance,
         pool: &pool,
     };
     let found = if all.is_empty() { None } else { compare(&model, &all) };

@@ -5,7 +5,7 @@ use metasense_schemas::spec::{AccelerationUnit, AngularVelocityUnit, ForceUnit, 
 use metasense_worker::invalid::as_written;
 
 use super::{Described, Looked};
-use crate::questions::check::{Explanation, RecordFinding};
+use crate::questions::check::{ChannelFinding, Explanation, RecordFinding};
 
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,10 +100,13 @@ pub(super) fn findings(
         if !of.all.iter().any(|finding| finding.check == check) && found.is_some() {
             let said = found.filter(|_| check == "model").map_or(String::new(), |found| {
                 let [_, after] = found.correlation;
-                format!(
-                    "mean correlation {after:.2} with a model of {} times the design's stiffness",
-                    found.stiffness
-                )
+                match found.channels.iter().any(ChannelFinding::is_compared) {
+                    true => format!(
+                        "mean correlation {after:.2} with a model of {} times the design's stiffness",
+                        found.stiffness
+                    ),
+                    false => "no channel can be compared".into(),
+                }
             });
             of.add(check, Level::Ok, String::new(), said, String::new());
         }
@@ -216,7 +219,8 @@ impl Findings<'_> {
     fn scale(&mut self, found: &Explanation, read: &[usize]) -> f64 {
         let kind = |c: usize| usize::from(read[c % read.len()] == 2);
         let gain = |of: usize| {
-            let channels = (0..self.channels.len()).filter(|c| kind(*c) == of && !found.channels[*c].silent);
+            let channels =
+                (0..self.channels.len()).filter(|c| kind(*c) == of && found.channels[*c].is_compared());
             let gains: Vec<f64> =
                 channels.map(|c| found.channels[c].gain.abs()).filter(|g| *g > 0.0).collect();
             (!gains.is_empty()).then(|| median(&gains))
@@ -247,7 +251,7 @@ impl Findings<'_> {
         let after = [0, 1].map(|k| gains[k].map(|g| g * factors[k]));
         // Lin's concordance: the correlation, reduced by a difference in amplitude.
         let agreement = |k: usize, by: f64| {
-            let of = found.channels.iter().enumerate().filter(|(c, of)| kind(*c) == k && !of.silent);
+            let of = found.channels.iter().enumerate().filter(|(c, of)| kind(*c) == k && of.is_compared());
             let of = of.map(|(_, of)| {
                 let rho = of.correlation[1];
                 let ratio = by * of.gain.abs() / rho.max(0.05);
@@ -283,7 +287,7 @@ impl Findings<'_> {
             }
         }
         for (c, of) in
-            found.channels.iter().enumerate().filter(|(_, of)| !of.silent && of.correlation[1] > MODEL)
+            found.channels.iter().enumerate().filter(|(_, of)| of.is_compared() && of.correlation[1] > MODEL)
         {
             let Some(usual) = gains[kind(c)] else { continue };
             let ratio = of.gain.abs() / usual;
@@ -361,6 +365,21 @@ impl Findings<'_> {
     }
 
     fn model(&mut self, found: &Explanation, read: &[usize]) {
+        let aliased = |c: &usize| found.channels[*c].aliased.is_some();
+        let aliased: Vec<usize> = (0..self.channels.len()).filter(aliased).collect();
+        if !aliased.is_empty() {
+            let place: Vec<&str> = aliased.iter().map(|c| &*self.channels[*c]).collect();
+            let least = aliased.iter().filter_map(|c| found.channels[*c].aliased).fold(1.0, f64::min);
+            let text = format!(
+                "the chip samples too slowly for the body's modes: smoothed readings of the model correlate with its motion by \
+                 {least:.2}; not compared with the model"
+            );
+            let remedy = "to compare these signals, raise the rate of the chip; a fit needs no higher rate";
+            self.add("channel", Level::Warning, place.join(", "), text, remedy.into());
+        }
+        if aliased.len() == self.channels.len() {
+            return;
+        }
         let [before, after] = found.correlation;
         let raises =
             |what: String| format!("{what}: raises the mean correlation from {before:.2} to {after:.2}");
@@ -462,7 +481,8 @@ impl Findings<'_> {
 
     fn axes(&mut self, found: &Explanation, read: &[usize]) {
         let own = read.len();
-        let live: Vec<usize> = (0..self.channels.len()).filter(|c| !found.channels[*c].silent).collect();
+        let live: Vec<usize> =
+            (0..self.channels.len()).filter(|c| found.channels[*c].is_compared()).collect();
         if !live.is_empty() && live.iter().all(|c| found.source[*c] == (*c, -1.0)) {
             let [before, after] = found.correlation;
             let text = format!(
@@ -475,7 +495,9 @@ impl Findings<'_> {
         for (m, unit) in found.units.iter().enumerate() {
             let channels = m * own..(m + 1) * own;
             let mean = |i: usize| {
-                channels.clone().map(|c| found.channels[c].correlation[i]).sum::<f64>() / own as f64
+                let compared = channels.clone().filter(|c| found.channels[*c].aliased.is_none());
+                let all: Vec<f64> = compared.map(|c| found.channels[c].correlation[i]).collect();
+                all.iter().sum::<f64>() / all.len().max(1) as f64
             };
             let name = |c: usize| self.channels[c].split(" (").next().unwrap_or_default().to_owned();
             if let Some((unit, [before, after])) = unit {

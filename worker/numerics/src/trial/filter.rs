@@ -47,7 +47,7 @@ impl Disturbance {
 
 impl Disturbance {
     /// Applies the low-pass, if any, in place to signals (N, instants, width); `step`: interval between instants (s).
-    pub(crate) fn low_pass(&self, signals: &mut [f64], samples: usize, width: usize, step: f64) {
+    pub fn low_pass(&self, signals: &mut [f64], samples: usize, width: usize, step: f64) {
         self.each(signals, samples, width, step, LowPass::run);
     }
 

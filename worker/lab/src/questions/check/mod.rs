@@ -4,18 +4,20 @@
 //! ρ_cd = Σ y_c s_d / √(Σ y_c² Σ s_d²)      over readings y and simulated signals s within W = 3/f_c of a record's first force
 //! ```
 //! Both are low-pass filtered at f_c = rate/5. A cast differs from its design by 10 to 20 %, so phases agree for about three periods; the
-//! search takes the best of a few stiffnesses. ρ is independent of scale; gains Σ y s/Σ s² reveal wrong units.
+//! search takes the best of a few stiffnesses. ρ is independent of scale; gains Σ y s/Σ s² reveal wrong units. A channel that aliases modes
+//! faster than half its rate is left out.
 
 mod instruments;
 mod search;
 mod spectra;
 
 pub use instruments::{Instruments, clipped};
-pub use search::{Explanation, RecordFinding, compare};
+pub use search::{ChannelFinding, Explanation, RecordFinding, compare};
 pub use spectra::{Spectra, spectra};
 
 use metasense_numerics::dynamics::{Accuracy, Forces, Parameters, Scene, Solver, planned, run};
 use metasense_numerics::stimuli::anti_aliased_force;
+use metasense_numerics::trial::Disturbance;
 
 /// Histories on a uniform clock.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -124,8 +126,8 @@ pub struct Model<'a> {
     pub solver: Solver,
     /// Channels per sensor: a_x (0), a_y (1), ω (2).
     pub channels: &'a [usize],
-    /// Delay of the readings (s).
-    pub delay: f64,
+    /// Imperfections of the chips; of these the delay and the low-pass count.
+    pub chip: Option<Disturbance>,
     /// Threads.
     pub pool: &'a metasense_numerics::Pool,
 }
@@ -172,7 +174,7 @@ impl Model<'_> {
             let read = |sensor: usize| self.channels.iter().map(move |kind| 3 * sensor + kind);
             let history = |c: usize| sample.iter().skip(c).step_by(width).copied().collect();
             let values = (0..sensors.len()).flat_map(read).map(history).collect();
-            History { start: step + self.delay, dt: step, values }
+            History { start: step + self.chip.map_or(0.0, |chip| chip.delay), dt: step, values }
         };
         signals.chunks_exact(instants * width).map(of_sample).collect()
     }

@@ -23,6 +23,8 @@ const OUTLIER_BELOW: f64 = 0.55;
 const OUTLIER_GAP: f64 = 0.2;
 /// A channel is silent if its correlations with all signals of its sensor are smaller.
 const SILENT: f64 = 0.35;
+/// A channel is compared if, in the model, its readings correlate at least so much with its motion, both smoothed.
+const FAITHFUL: f64 = 0.95;
 /// Least fraction of a window's readings.
 const MIN_WINDOW_SHARE: f64 = 0.75;
 
@@ -38,6 +40,17 @@ pub struct ChannelFinding {
     pub gain: f64,
     /// Whether it correlates with no signal although other channels do.
     pub silent: bool,
+    /// For a channel whose chip samples too slowly for the body's modes: correlation of the model's readings with its motion, both
+    /// smoothed. The channel is not compared.
+    pub aliased: Option<f64>,
+}
+
+impl ChannelFinding {
+    /// Whether the channel is compared with the model.
+    #[must_use]
+    pub fn is_compared(&self) -> bool {
+        !self.silent && self.aliased.is_none()
+    }
 }
 
 /// Comparison of one record, given the explanation of all.
@@ -151,7 +164,11 @@ struct RecordSearch<'a> {
     dt: f64,
     /// Simulated orders of panels: cyclic shifts for single forces, else exchanges.
     orders: Vec<Vec<usize>>,
+    /// Orders that can explain all records: exchanges; for single forces the shifts by one place, too.
+    candidates: Vec<Vec<usize>>,
     silent: Vec<bool>,
+    /// Correlation of the model's readings with its motion, per channel.
+    fidelity: Vec<f64>,
 }
 
 /// Compares records with the model. `None` if the simulation fails.
@@ -207,19 +224,21 @@ impl<'a> RecordSearch<'a> {
             [onset - 0.25 * w, (onset + w).max(end).min(model.scene.duration)]
         };
         let panels = model.scene.panels.len();
-        let same: Vec<usize> = (0..panels).collect();
-        let orders: Vec<Vec<usize>> = if records[0].panel.is_some() {
-            (0..panels).map(|by| (0..panels).map(|k| (k + by) % panels).collect()).collect()
-        } else {
-            let pairs = (0..panels).flat_map(|i| (0..i).map(move |j| (i, j)));
-            let swapped = pairs.map(|(i, j)| {
-                let mut order = same.clone();
-                order.swap(i, j);
-                order
-            });
-            [same.clone()].into_iter().chain(swapped).collect()
+        let shift = |by: usize| (0..panels).map(|k| (k + by) % panels).collect();
+        let exchange = |(i, j): (usize, usize)| {
+            let mut order: Vec<usize> = shift(0);
+            order.swap(i, j);
+            order
         };
-        Self {
+        let pairs = (0..panels).flat_map(|i| (0..i).map(move |j| (i, j)));
+        let mut candidates: Vec<Vec<usize>> = [shift(0)].into_iter().chain(pairs.map(exchange)).collect();
+        let mut orders = candidates.clone();
+        if records[0].panel.is_some() {
+            orders = (0..panels).map(shift).collect();
+            candidates.extend([1, panels - 1].into_iter().filter(|_| panels > 2).map(shift));
+        }
+        let channels = model.scene.sensors.len() * model.channels.len();
+        let mut search = Self {
             model,
             records,
             smooth: records.iter().map(smooth).collect(),
@@ -227,8 +246,49 @@ impl<'a> RecordSearch<'a> {
             cutoff,
             dt,
             orders,
-            silent: vec![false; model.scene.sensors.len() * model.channels.len()],
+            candidates,
+            silent: vec![false; channels],
+            fidelity: vec![1.0; channels],
+        };
+        search.fidelity = search.find_fidelity();
+        search
+    }
+
+    /// Correlation per channel of the model's readings with its motion after the chip's filter, both smoothed; 1 without motion.
+    fn find_fidelity(&mut self) -> Vec<f64> {
+        let (model, channels) = (self.model, self.silent.len());
+        let mut motion = self.motion(&self.orders[0], &model.scene.sensors, 1.0);
+        for of in &mut motion {
+            let filter = |history: &mut Vec<f64>| {
+                model.chip.iter().for_each(|chip| chip.low_pass(history, 1, 1, of.dt));
+            };
+            of.values.iter_mut().for_each(filter);
         }
+        let read = |(motion, record): (&History, &Record)| {
+            let clock = &record.signals;
+            let at = |c: usize| (0..clock.entries()).map(|n| motion.at(c, clock.time(n))).collect();
+            History { values: (0..channels).map(at).collect(), ..*clock }.smooth(self.cutoff)
+        };
+        let readings = motion.iter().zip(self.records).map(read).collect();
+        let measured = std::mem::replace(&mut self.smooth, readings);
+        let mut sums = ProductSums::default();
+        for (record, motion) in motion.iter().enumerate() {
+            self.moments(record, &motion.smooth(self.cutoff), 0.0).iter().for_each(|found| sums.add(found));
+        }
+        self.smooth = measured;
+        let moves = |c: &usize| sums.simulated.get(*c).is_some_and(|square| square.is_normal());
+        let of = |c: usize| if moves(&c) { sums.correlation(c, c) } else { 1.0 };
+        (0..channels).map(of).collect()
+    }
+
+    /// Whether a channel is faithful enough to be compared.
+    fn compares(&self, channel: usize) -> bool {
+        self.fidelity[channel] >= FAITHFUL
+    }
+
+    /// Number of compared channels among these, at least 1.
+    fn compared(&self, channels: std::ops::Range<usize>) -> f64 {
+        channels.filter(|c| self.compares(*c)).count().max(1) as f64
     }
 
     /// Low-passed simulated signals by order of panels and record. `None` if the simulation fails or nothing moves.
@@ -241,12 +301,16 @@ impl<'a> RecordSearch<'a> {
     }
 
     fn run(&self, order: &[usize], sensors: &[usize], stiffness: f64) -> Vec<History> {
+        let motion = self.motion(order, sensors, stiffness);
+        motion.iter().map(|history| history.smooth(self.cutoff)).collect()
+    }
+
+    fn motion(&self, order: &[usize], sensors: &[usize], stiffness: f64) -> Vec<History> {
         let place = |record: &Record| match record.panel {
             Some(panel) => vec![order[panel]],
             None => order.to_vec(),
         };
-        let found = self.model.simulate(self.records, &place, sensors, stiffness, self.dt);
-        found.iter().map(|history| history.smooth(self.cutoff)).collect()
+        self.model.simulate(self.records, &place, sensors, stiffness, self.dt)
     }
 
     /// Index of a simulated order that acts on this record as `panels` does.
@@ -258,6 +322,7 @@ impl<'a> RecordSearch<'a> {
         self.orders.iter().position(alike).unwrap_or(0)
     }
 
+    /// Sums over a record's window; 0 for channels that are not compared.
     fn moments(&self, record: usize, simulated: &History, lag: f64) -> Option<ProductSums> {
         let (y, [from, to]) = (&self.smooth[record], self.windows[record]);
         let first = ((from - lag - y.start) / y.dt).ceil().max(0.0) as usize;
@@ -280,9 +345,10 @@ impl<'a> RecordSearch<'a> {
         let mut s = vec![0.0; columns];
         for n in readings {
             let time = y.time(n) + lag;
-            s.iter_mut().enumerate().for_each(|(d, s)| *s = simulated.at(d, time));
+            let compared = |(c, _): &(usize, _)| self.compares(*c);
+            s.iter_mut().enumerate().filter(compared).for_each(|(d, s)| *s = simulated.at(d, time));
             found.simulated.iter_mut().zip(&s).for_each(|(sum, s)| *sum += weight * s * s);
-            for (c, history) in y.values.iter().enumerate() {
+            for (c, history) in y.values.iter().enumerate().filter(|(c, _)| self.compares(*c)) {
                 let y = history[n];
                 found.measured[c] += weight * y * y;
                 let row = &mut found.products[c * columns..][..columns];
@@ -319,7 +385,8 @@ impl<'a> RecordSearch<'a> {
         for m in 0..sensors {
             let as_said: f64 = (0..own).map(|k| all.correlation(m * own + k, m * own + k)).sum();
             let same = (0..own).map(|k| (m * own + k, 1.0)).collect();
-            let mut best = (as_said + RISE * own as f64, as_said, same, 0.0);
+            let rise = RISE * self.compared(m * own..(m + 1) * own);
+            let mut best = (as_said + rise, as_said, same, 0.0);
             for other in 0..sensors {
                 for order in &orders {
                     let changed = order.iter().enumerate().filter(|(k, d)| k != *d).count();
@@ -339,14 +406,13 @@ impl<'a> RecordSearch<'a> {
             source.extend(best.2);
             (sum, cost) = (sum + best.1, cost + best.3);
         }
-        let count = (own * sensors) as f64;
+        let count = self.compared(0..own * sensors);
         (source, sum / count, (sum - cost) / count)
     }
 
     /// Best explanation at this stiffness, and the mean correlation as described.
     fn find_best_state(&self, stiffness: f64, simulated: &[Vec<History>]) -> (State, f64) {
-        let (count, panels) = (self.records.len(), self.model.scene.panels.len());
-        let same: Vec<usize> = (0..panels).collect();
+        let (count, same) = (self.records.len(), self.candidates[0].clone());
         let state = |order: &[usize], lag: f64| {
             let all = self.pooled(simulated, order, &|_| lag)?;
             let (source, score, value) = self.assigned(&all);
@@ -356,7 +422,9 @@ impl<'a> RecordSearch<'a> {
         };
         let width = self.silent.len();
         let as_said = self.pooled(simulated, &same, &|_| 0.0);
-        let mean = |all: &ProductSums| (0..width).map(|c| all.correlation(c, c)).sum::<f64>() / width as f64;
+        let mean = |all: &ProductSums| {
+            (0..width).map(|c| all.correlation(c, c)).sum::<f64>() / self.compared(0..width)
+        };
         let before = as_said.as_ref().map_or(0.0, mean);
         let source: Vec<Source> = (0..width).map(|c| (c, 1.0)).collect();
         let lags = vec![0.0; count];
@@ -371,19 +439,8 @@ impl<'a> RecordSearch<'a> {
         if as_said.as_ref().is_some_and(follows) {
             return (state(&same, 0.0).unwrap_or(none), before);
         }
-        let mut orders: Vec<Vec<usize>> = vec![same.clone()];
-        for i in 0..panels {
-            for j in 0..i {
-                let mut order = same.clone();
-                order.swap(i, j);
-                orders.push(order);
-            }
-        }
-        if panels > 2 && self.records[0].panel.is_some() {
-            orders.extend([1, panels - 1].map(|by| (0..panels).map(|k| (k + by) % panels).collect()));
-        }
         let best_of = |lag: f64| {
-            let all = orders.iter().filter_map(|order| state(order, lag));
+            let all = self.candidates.iter().filter_map(|order| state(order, lag));
             all.max_by(|a, b| a.value.total_cmp(&b.value))
         };
         let better = |new: &State, old: &State| new.value > old.value + 0.5 * RISE;
@@ -434,13 +491,17 @@ impl<'a> RecordSearch<'a> {
             (sensor..sensor + own).map(|d| all.correlation(c, d).abs()).fold(0.0, f64::max)
         };
         let follows = |c: usize| all.correlation(c, state.source[c].0) * state.source[c].1;
-        let usual = median(&(0..state.source.len()).map(follows).collect::<Vec<_>>());
-        self.silent = (0..state.source.len()).map(|c| usual > GOOD && strongest(c) < SILENT).collect();
+        let compared: Vec<usize> = (0..state.source.len()).filter(|c| self.compares(*c)).collect();
+        let of_compared: Vec<f64> = compared.iter().map(|c| follows(*c)).collect();
+        let usual = if compared.is_empty() { 0.0 } else { median(&of_compared) };
+        compared.iter().for_each(|&c| self.silent[c] = usual > GOOD && strongest(c) < SILENT);
         let channels = (0..state.source.len()).map(|c| {
             let (d, sign) = state.source[c];
             let size = all.simulated[d];
             let gain = sign * all.products[c * all.simulated.len() + d] / if size > 0.0 { size } else { 1.0 };
-            ChannelFinding { correlation: [all.correlation(c, c), follows(c)], gain, silent: self.silent[c] }
+            let aliased = (!self.compares(c)).then(|| self.fidelity[c]);
+            let correlation = [all.correlation(c, c), follows(c)];
+            ChannelFinding { correlation, gain, silent: self.silent[c], aliased }
         });
         let channels: Vec<ChannelFinding> = channels.collect();
         // A silent channel keeps its own signal.
@@ -504,8 +565,9 @@ impl<'a> RecordSearch<'a> {
     /// Better units for sensors that match poorly, or match only with changed axes.
     fn places(&self, state: &State, all: &ProductSums) -> Vec<Option<(usize, [f64; 2])>> {
         let (own, scene) = (self.model.channels.len(), self.model.scene);
-        let mean = |of: &dyn Fn(usize) -> f64| (0..own).map(of).sum::<f64>() / own as f64;
         let place = |m: usize| {
+            let compared = self.compared(m * own..(m + 1) * own);
+            let mean = |of: &dyn Fn(usize) -> f64| (0..own).map(of).sum::<f64>() / compared;
             let as_said = mean(&|k| all.correlation(m * own + k, m * own + k));
             let explained = mean(&|k| {
                 let (d, sign) = state.source[m * own + k];
