@@ -930,7 +930,24 @@ def findings():
            + [law["6", "3"], law["6", "2"]])
 
 
-CHECKS = [quickstart, findings, authors, authors_casts, tasks, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+def recordings():
+    """Cells of the two tables about the virtual laboratory, which are written by hand."""
+    section = (HERE / "README.md").read_text().split("## Check of recordings")[1].split("\n## ")[0]
+    said = {line.split(" | ")[0][2:]: [cell.strip() for cell in line.strip("| ").split("|")][1:] for line in section.splitlines() if line.startswith("| ")}
+    looked = rows("check.csv")
+    alarms = sum(int(row["false_alarms"]) for row in looked if row["mistake"] == "none")
+    named = [row["named"] == "yes" for row in looked if row["mistake"] != "none"]
+    yield said["20 without mistakes (9000 to 9019)"], ["no false alarm" if alarms == 0 else f"{alarms} false alarms"]
+    yield said["23 with one mistake each (10000 to 10022)"], ["all named" if all(named) else f"{sum(named)} named"]
+    lines = ["simulated", "dampers: predicted", "dampers: measured", "relaxing: measured", "relaxing, own clocks: measured"]
+    kinds = [("relaxing", "simulated"), ("dampers", "predicted"), ("dampers", "measured"), ("relaxing", "measured"), ("own clocks", "measured")]
+    for line, (casts, signals) in zip(lines, kinds):
+        of = [numbers(rows("check-evaluate.csv", casts=casts, signals=signals, body=body), "error_test") for body in ("initial", "optimised")]
+        gain = with_interval([one / two for one, two in zip(*of, strict=True)])
+        yield said[line], [" → ".join(short(geometric(errors)) for errors in of) + " %", gain]
+
+
+CHECKS = [quickstart, findings, authors, authors_casts, tasks, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing, recordings]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -65,6 +65,8 @@ class Set:
     seed: int
     blows: int = 4
     """Per panel."""
+    dampers: float = 0.0
+    """Factor ζ of dampers at the units, as in the model, in place of ligaments that relax; 0: they relax."""
     units: list[int] = field(default_factory=list)
     """Units on which the chips really are; empty: those of the spec."""
     struck: dict[tuple[int, int], int] = field(default_factory=dict)
@@ -81,6 +83,8 @@ class Set:
     late: float = 0.0
     """Time of the hammer's clock at which the IMU's is 0, other than it should be (s)."""
     drift: float = 0.0
+    rate_error: float = 2e-5
+    """Standard deviation of the IMU's rate, relative to the hammer's; 0: one clock."""
     lost: float = 0.0
     """Part of the IMU's lines that are missing."""
     pauses: float = 0.0
@@ -129,7 +133,7 @@ def _cast(body: Body, one: Set, rng: np.random.Generator) -> dict[str, _Array]:
     """Material and masses of a cast: what scatters, and what the model leaves out."""
     common = np.exp(rng.normal(0.0, [0.08, 0.08, 0.08]))
     own = np.exp(rng.normal(0.0, 0.03, (len(body.ligaments), 3)))
-    return {
+    cast = {
         "stiffness": np.asarray(body.stiffness) * common * own,
         "density": np.asarray(body.density * np.exp(rng.normal(0.05, 0.03))),
         "share": np.asarray(rng.uniform(0.1, 0.25)),
@@ -139,7 +143,9 @@ def _cast(body: Body, one: Set, rng: np.random.Generator) -> dict[str, _Array]:
         "tether": np.asarray(rng.uniform(0.0, 4e-3)),
         "shifts": rng.normal(0.0, 0.15, (len(body.ligaments), 2, 2)),
         "chip": np.asarray([9e-6, 9e-6 * (23.5**2 + 32.5**2) / 12.0]),
+        "dampers": np.asarray(one.dampers),
     }
+    return cast | {key: np.zeros(()) for key in ("share", "viscosity") if one.dampers}
 
 
 def _integrate(body: Body, alpha: _Array | None, casts: list[dict[str, _Array]], force: _Array, struck: list[int], chips: list[list[int]]) -> _Array:
@@ -161,6 +167,10 @@ def _integrate(body: Body, alpha: _Array | None, casts: list[dict[str, _Array]],
         moment[blow, chip] += together["chip"][blow, 1]
     arm_a = corners[a, node_a] - centre[a] + together["shifts"][:, :, 0]
     arm_b = corners[b, node_b] - centre[b] + together["shifts"][:, :, 1]
+    soft = together["stiffness"].mean(1)
+    mean = together["density"] * area.mean(), together["density"] * polar.mean()
+    dampers = np.sqrt(np.stack([mean[0] * soft[:, 1], mean[0] * soft[:, 1], mean[1] * soft[:, 2]], axis=1))
+    dampers *= 2.0 * together["dampers"][:, None]
     gap = centre[b] - centre[a]
     rest = gap + arm_b - arm_a
     length = np.hypot(rest[..., 0], rest[..., 1])
@@ -216,6 +226,7 @@ def _integrate(body: Body, alpha: _Array | None, casts: list[dict[str, _Array]],
         )
         loads[every, struck, 1] -= force[:, n]
         loads[..., :2] -= tether * place[..., :2]
+        loads -= dampers[:, None] * speed
         acceleration = loads * inverse
         speed += 0.5 * step * acceleration * (n > 0)
         of_chips = [np.stack([acceleration[every, c, 0], acceleration[every, c, 1], speed[every, c, 2]], axis=1) for c in np.array(chips).T]
@@ -256,7 +267,7 @@ def write(one: Set, blows: list[list[tuple[_Array, _Array]]], folder: Path) -> P
             signals[:, 3 * chip + 2] = np.round(turning * 16.4) / 16.4
         for column, how in one.dead.items():
             signals[:, column] = 0.25 if how == "stuck" else np.round(0.5 * rng.normal(size=len(ticks)) * 2048.0) / 2048.0
-        own = (ticks - one.late) * (1.0 + one.drift + rng.normal(0.0, 2e-5)) + begins + rng.normal(0.0, 2e-4)
+        own = (ticks - one.late) * (1.0 + one.drift + rng.normal(0.0, one.rate_error)) + begins + rng.normal(0.0, 2e-4)
         kept = np.flatnonzero(rng.uniform(size=len(ticks)) >= one.lost)
         with (folder / f"imu_p{panel + 1}.csv").open("w") as file:
             file.write("# two WT9011DCL on one logger\nt,Acc1X,Acc1Y,Gyr1Z,Acc2X,Acc2Y,Gyr2Z\n")
@@ -291,7 +302,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str, str]] = {
     "chip 1 upside down": ({"mount": {0: _FLIPPED}}, "axis", "ω of sensor 0 fits minus"),
     "chips exchanged": ({"order": [3, 4, 5, 0, 1, 2]}, "sensor", "the signals of sensor 0 fit sensor 1"),
     "chip on another unit": ({"units": [10, 5]}, "sensor", "unit 10"),
-    "gravity left in": ({"gravity": (0.0, -1.0), "keys": {}}, "offset", "gravity is still in it"),
+    "gravity left in": ({"gravity": (0.0, -1.0), "keys": {}}, "offset", "contains gravity"),
     "clock 0.35 s late": ({"late": -0.35, "options": {"length": 0.9}, "keys": {"recorded": "remove_offset = true"}}, "clock", "0.35"),
     "clock 60 ms early": ({"late": 0.06}, "clock", "signals"),
     "clock drifts by 2 %": ({"drift": 0.02}, "clock", "signals"),
@@ -307,16 +318,16 @@ MISTAKES: dict[str, tuple[dict[str, Any], str, str]] = {
 }
 
 
-def main(folder: str | Path, seed: int = 1, blows: int = 4, design: str | Path | None = None) -> Path:
+def main(folder: str | Path, seed: int = 1, blows: int = 4, design: str | Path | None = None, dampers: float = 0.0, rate_error: float = 2e-5) -> Path:
     """Writes the spec and a session without mistakes into a folder. Returns the TOML of the records."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     spec = folder / "laboratory.toml"
     if not spec.exists():
         spec.write_text(SPEC)
-    one = Set(seed, blows=blows)
+    one = Set(seed, blows=blows, dampers=dampers, rate_error=rate_error)
     return write(one, motion(Body.from_spec(spec), [one], None if design is None else np.load(design))[0], folder)
 
 
 if __name__ == "__main__":
-    print(main(sys.argv[1], *map(int, sys.argv[2:4]), *sys.argv[4:5]))
+    print(main(sys.argv[1], *map(int, sys.argv[2:4]), *sys.argv[4:5], *map(float, sys.argv[5:7])))
