@@ -609,6 +609,31 @@ const TABLES: &[(&str, &str)] = &[
         "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"",
         "s.toml:15: optimise.gradient = \"direct\": has no effect on this optimise.protocol, only on paper",
     ),
+    (
+        "[brain]\ntask = \"panel\"",
+        "s.toml:14: brain.task = \"panel\": set brain.kind = \"linear\": other decoders estimate forces only",
+    ),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"count\"",
+        "s.toml:15: brain.task = \"count\": the label is the same in all training samples: vary [stimuli]",
+    ),
+    ("[brain]\nkind = \"linear\"\ntask = \"force\"", "s.toml:15: brain.task = \"force\": must be \"forces\""),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"peak\"\nmemory = [0.1, 0.0]",
+        "s.toml:16: brain.memory = [0.1, 0.0]: has no effect: no trial has brain.kind = \"linear\" and brain.task = \"forces\"",
+    ),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"peak\"\n[optimise]\nprotocol = \"paper\"",
+        "s.toml:15: brain.task = \"peak\": set optimise.protocol = \"joint\" or \"random\"",
+    ),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"peak\"\n[optimise]\nbatch = 9",
+        "s.toml:17: optimise.batch = 9: must be at least 10",
+    ),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"all\"\n[variation]\nnodes = 0.1",
+        "s.toml:15: brain.task = \"all\": remove [variation] and optimise.objective",
+    ),
     ("[until]\npaired = 0.2\nconfidence = 1.5", "s.toml:15: until.confidence = 1.5: must lie in [0.5, 1)"),
     (
         "[[evaluation.under]]\nkind = \"bell\"\nwidth = [0.1, 0.2, 0.3]",

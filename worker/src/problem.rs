@@ -6,10 +6,11 @@
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
-use metasense_numerics::brains::fits;
+use metasense_numerics::brains::{RECORDS_MIN, Task, fits};
 use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, PartFactors, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
+use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::{
     Body, BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule,
     Training,
@@ -67,7 +68,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     // what a body cannot do coarsely it does not do
     let coarsens = trial.body.description.as_ref().is_none_or(|description| description.tolerance);
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
-    Ok(Problem {
+    let mut problem = Problem {
         body,
         kept: fixed_shape_units(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
@@ -81,6 +82,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         relative_to,
         variation: variation(trial, scene.layout.units())?,
         decoder_kind: kind(trial.brain.kind),
+        tasks: Vec::new(),
         decoder: decoder(trial)?,
         brain: Training {
             iterations: trial.brain.iterations,
@@ -113,7 +115,48 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         seed: trial.point.seed,
         search: search(trial, &scene)?,
         scene,
-    })
+    };
+    problem.tasks = tasks(trial, &problem)?;
+    Ok(problem)
+}
+
+/// The quantities that readouts estimate; empty: the decoder estimates forces.
+fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
+    let task = match trial.brain.task {
+        spec::Task::Forces => return Ok(Vec::new()),
+        spec::Task::Panel => Some(Task::Panel),
+        spec::Task::Count => Some(Task::Count),
+        spec::Task::Position => Some(Task::Position),
+        spec::Task::Peak => Some(Task::Peak),
+        spec::Task::Impulse => Some(Task::Impulse),
+        spec::Task::Onset => Some(Task::Onset),
+        spec::Task::All => None,
+    };
+    let check =
+        |holds: bool, remedy: &str| require(holds, "brain.task", as_written(&trial.brain.task), remedy);
+    let linear = trial.brain.kind == spec::BrainKind::Linear && trial.optimise.linear();
+    check(linear, "set brain.kind = \"linear\": other decoders estimate forces only")?;
+    let differentiable = trial.optimise.protocol != spec::Protocol::Paper;
+    check(
+        differentiable,
+        "set optimise.protocol = \"joint\" or \"random\": \"paper\" trains for forces only",
+    )?;
+    let designed = trial.variation.is_none() && trial.optimise.objective.is_none();
+    check(
+        designed,
+        "remove [variation] and optimise.objective: bodies are trained for this task as designed only",
+    )?;
+    if let Some(batch) = trial.optimise.batch {
+        at_least("optimise.batch", batch, RECORDS_MIN)?;
+    }
+    let [train, _] = problem.training_and_test();
+    let forces = targets(&train, problem.scene.instants, problem.low_pass());
+    let varied = problem.labeller().varied(&forces, problem.scene.instants);
+    let remedy = "the label is the same in all training samples: vary [stimuli] (stimuli.silent varies the number of struck \
+                  panels), or choose another task";
+    check(!varied.is_empty() && task.is_none_or(|task| varied.contains(&task)), remedy)?;
+    at_least("stimuli.test", trial.stimuli.test, RECORDS_MIN)?;
+    Ok(task.map_or(varied, |task| vec![task]))
 }
 
 /// The part of a problem that its body gives.

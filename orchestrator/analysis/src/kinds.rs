@@ -11,7 +11,7 @@ use super::trial::Trial;
 
 /// Returns the names of the trial's own decoder and of the decoder in the training of its body.
 pub fn brains(setting: &Setting) -> [String; 2] {
-    let own = match setting.text("brain.kind") {
+    let mut own = match setting.text("brain.kind") {
         Some("stacked") => match network(setting) {
             shape if shape == "cnn" => "stacked".to_owned(),
             shape => format!("stacked, {shape}"),
@@ -26,6 +26,9 @@ pub fn brains(setting: &Setting) -> [String; 2] {
         Some(kind) => kind.to_owned(),
         None => network(setting),
     };
+    if let Some(task) = setting.text("brain.task") {
+        [&mut own, &mut with].into_iter().for_each(|kind| *kind += &format!(" for {task}"));
+    }
     with.extend(objective(setting).map(|over| format!(", {over}")));
     match setting.text("optimise.protocol") {
         None | Some("joint") => [own, with],
@@ -54,9 +57,9 @@ pub fn objective(setting: &Setting) -> Option<String> {
     Some(format!("{objective} of {of}{each}"))
 }
 
-/// Whether the trial's own decoder is linear.
+/// Whether the trial's own decoder is linear and estimates forces.
 pub fn is_linear(trial: &Trial) -> bool {
-    trial.setting.text("brain.kind") == Some("linear")
+    trial.setting.text("brain.kind") == Some("linear") && !trial.setting.contains_key("brain.task")
 }
 
 /// [`brains`] of each trial, computed once per shared setting.

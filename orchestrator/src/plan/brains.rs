@@ -2,7 +2,7 @@
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Brain, BrainKind, Evaluation, Objective, Optimise, Ridge, SweepSpec, Variation,
+    Brain, BrainKind, Evaluation, Objective, Optimise, Protocol, Ridge, SweepSpec, Variation,
 };
 use metasense_worker::problem::lags;
 
@@ -24,6 +24,11 @@ fn has_linear(kind: BrainKind) -> bool {
     kind != BrainKind::Cnn
 }
 
+/// Whether a linear decoder estimates forces in the trial or its training.
+fn estimates_forces_linearly(spec: &SweepSpec) -> bool {
+    spec.brain.task.is_forces() && kinds(spec).into_iter().any(has_linear)
+}
+
 /// Whether a causal network uses a linear decoder's estimates, which then must not look ahead either.
 fn looks_back_alone(spec: &SweepSpec) -> bool {
     spec.brain.kind == BrainKind::Stacked && spec.brain.network().causal
@@ -40,7 +45,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     // without training there is only one body
     evaluation.initial = evaluation.initial.filter(|compared| !compared && spec.optimise.steps() > 0);
     if !has_network(reader) && !has_network(trainer) {
-        brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
+        let Brain { kind, task, memory, ridge, .. } = brain;
+        brain = Brain { kind, task, memory, ridge, ..none };
     }
     if !has_network(reader) {
         evaluation = evaluation.of_linear();
@@ -52,7 +58,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     // an inverse decoder calibrates a twin on the records
     let spared = evaluation.casts.is_some() && reader != BrainKind::Inverse;
     evaluation.records = evaluation.records.filter(|read| !read && spared);
-    if !has_linear(reader) && !has_linear(trainer) {
+    if !estimates_forces_linearly(spec) {
         (brain.memory, brain.ridge) = (None, None);
     }
     if looks_back_alone(spec) {
@@ -78,6 +84,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         optimise.casts.get_or_insert(parts.len());
         optimise.batch.get_or_insert(Optimise::BATCH.div_ceil(parts.len().max(1)));
     }
+    if !brain.task.is_forces() && optimise.protocol == Protocol::Joint {
+        optimise.batch.get_or_insert(Optimise::TASK_BATCH);
+    }
     let optimise = optimise.resolved();
     let (optimise, robust) = match optimise.objective {
         Some(_) => (optimise, true),
@@ -87,6 +96,10 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     let variation = spec.variation.filter(|_| robust || evaluation.casts.is_some());
     (brain, optimise, evaluation, variation.and_then(Variation::resolved))
 }
+
+/// Decoders that use a key.
+const CNN: &str = "\"cnn\"";
+const FORCES: &str = "\"linear\" and brain.task = \"forces\"";
 
 /// Whether a spec sets a key.
 type KeyPredicate<'a> = &'a dyn Fn(&SweepSpec) -> bool;
@@ -135,38 +148,38 @@ pub(super) fn refuse_unread<'a>(
     if let Some((key, _, _, remedy)) = of_casts.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
         return Err(source.error(key, remedy));
     }
-    let linear = any_spec(&|spec| kinds(spec).into_iter().any(has_linear));
+    let linear = any_spec(&estimates_forces_linearly);
     let network = any_spec(&|spec| kinds(spec).into_iter().any(has_network));
     let read_by_network = any_spec(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any_spec(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
     let keys: [(&str, bool, KeyPredicate, &str); 16] = [
-        ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
-        ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
-        ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),
-        ("brain.dilations", network, &|s| s.brain.dilations.is_some(), "cnn"),
-        ("brain.causal", network, &|s| s.brain.causal.is_some(), "cnn"),
-        ("brain.memory", linear, &|s| s.brain.memory.is_some(), "linear"),
-        ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), "linear"),
-        ("brain.scaling", network, &|s| s.brain.scaling != default_brain.scaling, "cnn"),
-        ("brain.iterations", network, &|s| s.brain.iterations != default_brain.iterations, "cnn"),
-        ("brain.learning_rate", network, &|s| s.brain.learning_rate != default_brain.learning_rate, "cnn"),
-        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), "cnn"),
-        ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, "cnn"),
-        ("evaluation.batch", read_by_network, &|s| s.evaluation.batch.is_some(), "cnn"),
-        ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), "cnn"),
-        ("optimise.brain_iterations", trained_by_network, &|s| s.optimise.brain_iterations.is_some(), "cnn"),
+        ("brain.preset", network, &|s| s.brain.preset.is_some(), CNN),
+        ("brain.width", network, &|s| s.brain.width.is_some(), CNN),
+        ("brain.kernels", network, &|s| s.brain.kernels.is_some(), CNN),
+        ("brain.dilations", network, &|s| s.brain.dilations.is_some(), CNN),
+        ("brain.causal", network, &|s| s.brain.causal.is_some(), CNN),
+        ("brain.memory", linear, &|s| s.brain.memory.is_some(), FORCES),
+        ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), FORCES),
+        ("brain.scaling", network, &|s| s.brain.scaling != default_brain.scaling, CNN),
+        ("brain.iterations", network, &|s| s.brain.iterations != default_brain.iterations, CNN),
+        ("brain.learning_rate", network, &|s| s.brain.learning_rate != default_brain.learning_rate, CNN),
+        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), CNN),
+        ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, CNN),
+        ("evaluation.batch", read_by_network, &|s| s.evaluation.batch.is_some(), CNN),
+        ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), CNN),
+        ("optimise.brain_iterations", trained_by_network, &|s| s.optimise.brain_iterations.is_some(), CNN),
         (
             "optimise.brain_learning_rate",
             trained_by_network,
             &|s| s.optimise.brain_learning_rate.is_some(),
-            "cnn",
+            CNN,
         ),
     ];
     match keys.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
         Some((key, _, _, kind)) => {
             let role = if key.starts_with("optimise.") { "optimise.brain" } else { "brain.kind" };
-            Err(source.error(key, &format!("has no effect: no trial has {role} = \"{kind}\"")))
+            Err(source.error(key, &format!("has no effect: no trial has {role} = {kind}")))
         }
         None => Ok(()),
     }

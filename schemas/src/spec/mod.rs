@@ -29,7 +29,7 @@ pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSign
 pub use named::{HashError, position_of};
 pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
-    Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
+    Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail, Task,
 };
 pub use removed::removed;
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};

@@ -39,6 +39,37 @@ impl BrainKind {
     }
 }
 
+/// Quantity that a decoder estimates. Of a task other than `forces`, a sample has one label.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Task {
+    /// The force history of each panel.
+    #[default]
+    Forces,
+    /// The panel with the greatest force.
+    Panel,
+    /// The number of panels with more than a tenth of the sample's greatest force.
+    Count,
+    /// The mean of the panels' positions, weighted by their impulses (mm).
+    Position,
+    /// The greatest force of each panel (N).
+    Peak,
+    /// The impulse ∫|f| dt of each panel (mN s).
+    Impulse,
+    /// The time at which a force first exceeds a tenth of the sample's greatest (ms).
+    Onset,
+    /// All of them that vary, except `forces`, with equal weights.
+    All,
+}
+
+impl Task {
+    /// Whether the decoder estimates force histories.
+    #[must_use]
+    pub fn is_forces(&self) -> bool {
+        *self == Self::Forces
+    }
+}
+
 /// Regularisation λ of a linear decoder: factor of its squared weights.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
@@ -81,6 +112,11 @@ pub struct Brain {
     /// Decoder of the final comparison. Default: `"cnn"`.
     #[serde(skip_serializing_if = "BrainKind::is_default")]
     pub kind: BrainKind,
+    /// What the decoder estimates, and the body is trained for. Tasks other than `"forces"` need `kind = "linear"`: a ridge
+    /// regression on the signals of the whole sample, whose leave-one-out error trains the body. The errors of such a trial are
+    /// 100·(1 − R²). Default: `"forces"`.
+    #[serde(skip_serializing_if = "Task::is_forces")]
+    pub task: Task,
     /// Memory of a linear decoder, `[before, after]` an instant; `after = 0` suits a device that estimates without delay. An
     /// inverse decoder uses all earlier readings and this look-ahead; a `causal` stacked decoder uses all earlier readings and no
     /// look-ahead. Unit: s. Default: the whole sample.
@@ -163,6 +199,7 @@ impl Default for Brain {
     fn default() -> Self {
         Self {
             kind: BrainKind::Cnn,
+            task: Task::Forces,
             memory: None,
             ridge: None,
             iterations: 1000,
@@ -284,7 +321,7 @@ pub struct Optimise {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
     /// Samples per step for the gradient of the design, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
-    /// `"joint"`, over casts 8, with `reader = "each"` 24.
+    /// `"joint"`, for a `brain.task` other than `"forces"` 128, over casts 8, with `reader = "each"` 24.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
@@ -329,6 +366,8 @@ const CASTS_EACH: [usize; 2] = [3, 24];
 impl Optimise {
     /// Default samples per step of `joint` without casts.
     pub const BATCH: usize = 32;
+    /// Default samples per step for a task other than forces, which has one label per sample.
+    pub const TASK_BATCH: usize = 128;
 
     /// Fills in the defaults of the protocol. Keys that the protocol does not use stay as they are.
     #[must_use]

@@ -1,14 +1,17 @@
 //! Estimates of other quantities than force histories from a body's signals.
 
+use metasense_numerics::brains::RECORDS_MIN;
+pub use metasense_numerics::brains::Task;
 use metasense_numerics::stimuli::targets;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::run::Failure;
 
+use crate::prepare::prepared;
+pub use crate::questions::tasks::TaskEstimate;
 use crate::questions::tasks::{Observations, tasks as read};
-pub use crate::questions::tasks::{Task, TaskEstimate};
 use crate::replay::{linear, replay};
 
-/// Estimates, on the held-out set, of the tasks whose labels vary among the training samples; and the other tasks.
+/// Estimates, on the held-out set, of the forces and of the tasks whose labels vary among the training samples; and the other tasks.
 ///
 /// # Errors
 /// If the spec is invalid, the design has the wrong length or cannot be simulated, or there are too few samples.
@@ -41,14 +44,11 @@ pub fn tasks(
         (0..samples).filter(|&i| replay.split[i] == set && !replay.failed[i]).filter(has_force).collect()
     };
     let (train, judge) = (of(0), of(2));
-    if train.len() < LEAST || judge.len() < LEAST {
+    if train.len() < RECORDS_MIN || judge.len() < RECORDS_MIN {
         return Err(rejected("stimuli.samples and stimuli.holdout: tasks need ten samples with force each"));
     }
-    let interval = trial.time.duration / instants as f64;
+    let labeller = &prepared(trial)?.labeller();
     let (signals, forces, decoded) = (&signals[..], &forces[..], &decoder.predictions[..]);
     let (train, judge) = (&train[..], &judge[..]);
-    Ok(read(&Observations { signals, forces, decoded, train, judge, instants, panels, interval }))
+    Ok(read(&Observations { signals, forces, decoded, train, judge, instants, labeller }))
 }
-
-/// Least number of samples to fit or test a task.
-const LEAST: usize = 10;

@@ -2,9 +2,10 @@ use super::*;
 
 #[test]
 fn gains_are_paired_by_trial() {
-    let read = |seed: u64, task: (&'static str, &'static str), errors: [f64; 2]| TaskResult {
+    let read = |seed: u64, training: &str, task: (&'static str, &'static str), errors: [f64; 2]| TaskResult {
         setting: "K = 2".into(),
         cluster: Cluster { placement: 0, seed },
+        trained_for: training.into(),
         task,
         readout: "direct",
         errors,
@@ -15,7 +16,11 @@ fn gains_are_paired_by_trial() {
     let all: Vec<TaskResult> = (0..6)
         .flat_map(|seed| {
             let hard = 1.0 + seed as f64;
-            [read(seed, peak, [0.4 * hard, 0.1 * hard]), read(seed, panel, [8.0, 0.0])]
+            [
+                read(seed, "all", peak, [0.4 * hard, 0.1 * hard]),
+                read(seed, "all", panel, [8.0, 0.0]),
+                read(seed, "forces", peak, [0.4 * hard, 0.2 * hard]),
+            ]
         })
         .collect();
     let table = table(&all);
@@ -26,4 +31,11 @@ fn gains_are_paired_by_trial() {
         assert!(number(row, "ratio_low") <= gain + 1e-9 && gain <= number(row, "ratio_high") + 1e-9);
     }
     assert_eq!((number(0, "initial"), number(0, "optimised"), number(1, "trials")), (8.0, 0.0, 6.0));
+
+    // one column per training, empty without trials
+    let matrix = matrix(&all).unwrap();
+    let cell = |row: usize, training: &str| matrix.rows[row][matrix.column(training)].as_str();
+    assert_eq!([cell(0, "all"), cell(1, "all")].map(|cell| &cell.unwrap()[..4]), ["16.0", "4.00"]);
+    assert_eq!((cell(0, "forces"), cell(1, "forces").map(|cell| &cell[..4])), (None, Some("2.00")));
+    assert!(super::matrix(&all[..2]).is_none());
 }

@@ -11,9 +11,11 @@ mod inverse;
 mod linear;
 mod network;
 mod readings;
+mod readout;
 mod records;
 pub(crate) mod ridge;
 mod stacked;
+mod tasks;
 
 pub use bands::{Band, BandKind, LEVEL, Z_95};
 pub use fitted::Fitted;
@@ -29,6 +31,8 @@ pub use records::{HeldOutEstimates, Records};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
+pub(crate) use tasks::task_errors;
+pub use tasks::{Labeller, Labels, RECORDS_MIN, Readout, Task};
 
 use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};
@@ -255,6 +259,7 @@ pub(crate) trait Learner {
 /// The decoder that trains the trial's bodies.
 pub(crate) fn learner<'a>(trial: &'a Trial<'a>) -> Box<dyn Learner + 'a> {
     match trial.problem.optimise.brain {
+        _ if !trial.problem.tasks.is_empty() => Box::new(tasks::TaskLearner::new(trial)),
         BrainKind::Linear => Box::new(linear::LinearLearner::new(trial)),
         BrainKind::Network => Box::new(network::NetworkLearner::new(trial)),
         BrainKind::Stacked | BrainKind::Inverse => unreachable!("it only reads"),

@@ -5,10 +5,11 @@ use super::inversion::evaluate_inverse;
 use super::observe::{Control, Log};
 use super::report::Report;
 use super::state::State;
-use crate::brains::{Band, FittedDecoder, new_decoder, own_reading, readings};
+use crate::brains::{Band, FittedDecoder, new_decoder, own_reading, readings, task_errors};
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Spread, Trial, Trouble, mean_error,
+    BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Spread, Trial, Trouble, as_ref_result,
+    mean_error,
 };
 
 /// A decoder that is still to be fitted to a body: number, iterations, whether the training is a long one.
@@ -46,7 +47,8 @@ pub(super) fn evaluate(
     let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, &mut report.counters));
     let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
     let inverts = problem.decoder_kind == BrainKind::Inverse;
-    let calibration = sets.as_ref().ok().filter(|_| first && !inverts).and_then(|sets| {
+    let has_bands = !inverts && problem.tasks.is_empty();
+    let calibration = sets.as_ref().ok().filter(|_| first && has_bands).and_then(|sets| {
         let of = |report: &mut Report| band_calibration_samples(mould, &sets[2], &mut report.counters);
         log.timed(|s| &mut s.simulate, of).ok()
     });
@@ -72,6 +74,22 @@ pub(super) fn evaluate(
     }
     if inverts {
         return evaluate_inverse(mould, &sets, state, log);
+    }
+    if !problem.tasks.is_empty() {
+        let found = log.timed(|s| &mut s.train, |_| task_errors(trial, as_ref_result(&sets)?));
+        let evaluation = found.map_or_else(NetworkEvaluation::failed, |errors| {
+            let [error_train, error_test, error_holdout] = errors.each_ref().map(|set| mean_error(set));
+            let spread = Spread::of(&errors[2]);
+            NetworkEvaluation {
+                error_train,
+                error_test,
+                error_holdout,
+                spread,
+                ..NetworkEvaluation::default()
+            }
+        });
+        state.comparison.bodies[turn].networks.push(evaluation);
+        return log.report_progress(problem, state);
     }
     let mut reader = match &sets {
         Ok(sets) => {

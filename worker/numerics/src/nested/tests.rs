@@ -14,6 +14,7 @@ mod failing;
 mod known;
 mod linear;
 pub(crate) mod small;
+mod tasks;
 
 pub(crate) use small::{GOING, on_lattices, small};
 

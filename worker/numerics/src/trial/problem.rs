@@ -9,6 +9,7 @@ use super::samples::Samples;
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
 use crate::brain::Shape;
 use crate::brain::linear::Sizes;
+use crate::brains::Task;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
@@ -50,6 +51,8 @@ pub struct Problem {
     pub variation: Option<Variation>,
     /// Decoder in the final comparison.
     pub decoder_kind: BrainKind,
+    /// Quantities that a readout estimates in the training and the final comparison; empty: the decoder estimates the forces.
+    pub tasks: Vec<Task>,
     /// The network, and the training of fresh networks.
     pub brain: Training,
     /// The linear decoder.
@@ -143,7 +146,7 @@ impl Problem {
     }
 
     /// Time between two readings (s).
-    fn interval(&self) -> f64 {
+    pub(crate) fn interval(&self) -> f64 {
         self.scene.duration / self.scene.instants as f64
     }
 

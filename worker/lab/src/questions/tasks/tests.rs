@@ -1,4 +1,4 @@
-//! Labels of known forces, and estimates on synthetic bodies.
+//! Estimates on synthetic bodies.
 
 use super::*;
 use metasense_numerics::random::{Purpose, Stream};
@@ -15,17 +15,9 @@ fn forces(pulses: &[(usize, usize, f64)]) -> Vec<f64> {
     forces
 }
 
-#[test]
-fn labels_are_what_the_forces_say() {
-    let two = forces(&[(2, 4, 0.5), (0, 9, -2.0)]);
-    let label = |task: Task| task.label(&two, PANELS, 0.01);
-    assert_eq!(label(Task::Panel), [0.0]);
-    assert_eq!(label(Task::Count), [2.0]);
-    assert_eq!(label(Task::Peak), [2.0, 0.0, 0.5]);
-    let impulse = label(Task::Impulse);
-    assert!((impulse[0] - 60.0).abs() < 1e-9 && impulse[1] == 0.0 && (impulse[2] - 15.0).abs() < 1e-9);
-    // Instants are numbered from 1.
-    assert!((label(Task::Onset)[0] - 50.0).abs() < 1e-9);
+fn labeller() -> Labeller {
+    let points = (0..PANELS).map(|k| [15.0 * k as f64, 3.0]).collect();
+    Labeller { interval: 0.005, points }
 }
 
 /// 80 samples of one pulse each; signals are a random linear map of the forces, plus noise.
@@ -62,8 +54,7 @@ fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> (Vec<TaskEstimate>,
         train: &train,
         judge: &judge,
         instants: INSTANTS,
-        panels: PANELS,
-        interval: 0.005,
+        labeller: &labeller(),
     })
 }
 
@@ -74,12 +65,14 @@ fn tasks_are_read_as_well_as_signals_allow() {
     assert_eq!(constant, [Task::Count], "every sample has one pulse");
     let (noisy, _) = read(30.0, |forces| forces.iter().map(|f| 0.5 * f).collect());
     let error = |of: &[TaskEstimate], task: Task, readout: &str| {
-        let found = of.iter().find(|r| r.task == task && r.readout == readout).unwrap();
+        let found = of.iter().find(|r| r.task == task.name() && r.readout == readout).unwrap();
         assert!(found.interval[0] <= found.error && found.error <= found.interval[1], "{found:?}");
         found.error / found.trivial
     };
-    for task in [Task::Panel, Task::Peak, Task::Impulse, Task::Onset] {
+    for task in [Task::Panel, Task::Position, Task::Peak, Task::Impulse, Task::Onset] {
         assert_eq!(error(&clean, task, "decoded"), 0.0, "{task:?}");
+        let score = |of: &[TaskEstimate]| of.iter().find(|r| r.task == task.name()).unwrap().score;
+        assert!(score(&clean) > score(&noisy), "{task:?}: {clean:?} {noisy:?}");
         let (direct, blurred) = (error(&clean, task, "direct"), error(&noisy, task, "direct"));
         assert!(direct < 0.7 && blurred > direct, "{task:?}: {direct} {blurred}");
     }
@@ -88,6 +81,9 @@ fn tasks_are_read_as_well_as_signals_allow() {
     // Halved forces keep place and time, and have half the height.
     assert_eq!(error(&noisy, Task::Panel, "decoded") + error(&noisy, Task::Onset, "decoded"), 0.0);
     assert!(error(&noisy, Task::Impulse, "decoded") > 0.1);
+    // Halved forces have a quarter of the squares as error.
+    let of_forces = [&clean, &noisy].map(|of| (of[0].task.0, of[0].error));
+    assert_eq!(of_forces, [("forces", 0.0), ("forces", 25.0)]);
 }
 
 /// From signals without information the error is that of the trivial estimate, even with more signals than samples.
@@ -104,10 +100,9 @@ fn noise_is_not_read() {
         train: &train,
         judge: &judge,
         instants: INSTANTS,
-        panels: PANELS,
-        interval: 0.005,
+        labeller: &labeller(),
     });
-    for reading in found.iter().filter(|r| r.readout == "direct" && !r.task.is_class()) {
+    for reading in found.iter().filter(|r| r.readout == "direct" && r.task.1 != "%") {
         assert!(reading.error < 1.25 * reading.trivial, "{reading:?}");
     }
 }

@@ -70,6 +70,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         relative_to: None,
         variation: None,
         decoder_kind: BrainKind::Network,
+        tasks: Vec::new(),
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
         brain: Training {
             iterations: 30,

@@ -1,0 +1,350 @@
+//! Sensing tasks besides force histories: which panel, where, how many, how hard, when; all from the same signals.
+//!
+//! A readout is a ridge regression from the signals of the whole record to the labels (`readout`). Classes are ±1; the greatest
+//! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean. Samples without
+//! force and failed samples are not used.
+
+use super::readout::{Basis, Output};
+use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
+use crate::trial::{Counters, FAILED, Problem, Samples, Trial, Trouble, pick};
+
+/// Share of a sample's greatest force above which a panel counts as struck, and a force as started.
+const BEGUN: f64 = 0.1;
+/// Least number of records to which a readout is fitted.
+pub const RECORDS_MIN: usize = 10;
+
+/// A quantity to estimate from a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Task {
+    /// The panel with the greatest force.
+    Panel,
+    /// The number of panels whose greatest force exceeds a tenth of the sample's.
+    Count,
+    /// Mean of the panels' positions on the initial body, weighted by their impulses: x and y (mm).
+    Position,
+    /// The greatest force of each panel (N).
+    Peak,
+    /// ∫|f| dt of each panel (mN s).
+    Impulse,
+    /// Time at which a force first exceeds a tenth of the sample's greatest (ms).
+    Onset,
+}
+
+impl Task {
+    /// All tasks.
+    pub const ALL: [Self; 6] =
+        [Self::Panel, Self::Count, Self::Position, Self::Peak, Self::Impulse, Self::Onset];
+
+    /// Name, and unit of the error: % of samples with a wrong class, or that of a mean absolute error.
+    pub fn name(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Panel => ("panel", "%"),
+            Self::Count => ("count", "%"),
+            Self::Position => ("position", "mm"),
+            Self::Peak => ("peak", "N"),
+            Self::Impulse => ("impulse", "mN s"),
+            Self::Onset => ("onset", "ms"),
+        }
+    }
+
+    /// Whether its labels are classes.
+    pub fn is_class(self) -> bool {
+        matches!(self, Self::Panel | Self::Count)
+    }
+}
+
+/// Label of each record for a task: a class, or values.
+pub type Labels = Vec<Vec<f64>>;
+
+/// Computes labels from forces.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Labeller {
+    /// Time between instants (s).
+    pub interval: f64,
+    /// Position of each panel (mm).
+    pub points: Vec<[f64; 2]>,
+}
+
+impl Labeller {
+    /// Label of forces (T, K) (N).
+    pub fn label(&self, task: Task, forces: &[f64]) -> Vec<f64> {
+        let (panels, interval) = (self.points.len(), self.interval);
+        let of = |k: usize| forces.iter().skip(k).step_by(panels).map(|f| f.abs());
+        let impulse = |k: usize| 1e3 * interval * of(k).sum::<f64>();
+        let peaks: Vec<f64> = (0..panels).map(|k| of(k).fold(0.0, f64::max)).collect();
+        let most = peaks.iter().copied().fold(0.0, f64::max);
+        let begun = |f: &f64| f.abs() > BEGUN * most;
+        match task {
+            Task::Panel => vec![peaks.iter().position(|peak| *peak == most).unwrap_or(0) as f64],
+            Task::Count => vec![peaks.iter().filter(|peak| begun(peak)).count() as f64],
+            Task::Position => {
+                let total: f64 = (0..panels).map(impulse).sum();
+                let mean = |d: usize| (0..panels).map(|k| impulse(k) * self.points[k][d]).sum::<f64>();
+                [0, 1].map(|d| mean(d) / total.max(f64::MIN_POSITIVE)).to_vec()
+            }
+            Task::Peak => peaks,
+            Task::Impulse => (0..panels).map(impulse).collect(),
+            Task::Onset => {
+                let at = forces.iter().position(begun).map_or(0, |at| at / panels);
+                vec![1e3 * interval * (at + 1) as f64]
+            }
+        }
+    }
+
+    /// The tasks whose labels differ among samples with these forces (N, T, K) (N). Samples without force do not count.
+    pub fn varied(&self, forces: &[f64], instants: usize) -> Vec<Task> {
+        let samples = || forces.chunks_exact(instants * self.points.len());
+        let varies = |task: &Task| {
+            let mut labels =
+                samples().filter(|own| own.iter().any(|f| *f != 0.0)).map(|own| self.label(*task, own));
+            let first = labels.next();
+            labels.any(|label| first.as_ref() != Some(&label))
+        };
+        Task::ALL.into_iter().filter(varies).collect()
+    }
+}
+
+impl Problem {
+    /// The labels of the trial's forces.
+    pub fn labeller(&self) -> Labeller {
+        let scene = &self.scene;
+        let points = match scene.layout.units() {
+            0 => vec![[0.0; 2]; scene.panels.len()],
+            _ => {
+                let geometry = scene.geometry(&self.initial);
+                let foot = |panel: &crate::dynamics::Panel| {
+                    panel.foot(geometry.centroids[panel.unit], &geometry.vertices[panel.unit])
+                };
+                scene.panels.iter().map(foot).collect()
+            }
+        };
+        Labeller { interval: self.interval(), points }
+    }
+}
+
+/// Readouts of several tasks, fitted to the same records.
+#[derive(Debug, Clone)]
+pub struct Readout {
+    basis: Basis,
+    fits: Vec<TaskFit>,
+}
+
+/// The readout of a task.
+#[derive(Debug, Clone)]
+struct TaskFit {
+    task: Task,
+    /// Classes, ascending; empty for values.
+    classes: Vec<f64>,
+    /// One per class or value.
+    outputs: Vec<Output>,
+    /// Σ (y − mean y)² over records and outputs.
+    variation: f64,
+}
+
+impl TaskFit {
+    fn new(task: Task, basis: &Basis, labels: &Labels) -> Self {
+        let mut classes: Vec<f64> = labels.iter().filter(|_| task.is_class()).map(|label| label[0]).collect();
+        classes.sort_by(f64::total_cmp);
+        classes.dedup();
+        let mut fit = Self { task, classes, outputs: Vec::new(), variation: 0.0 };
+        let targets: Labels = labels.iter().map(|label| fit.targets(label)).collect();
+        let column = |k: usize| targets.iter().map(|target| target[k]).collect::<Vec<_>>();
+        for targets in (0..targets[0].len()).map(column) {
+            let mean = targets.iter().sum::<f64>() / targets.len() as f64;
+            fit.variation += targets.iter().map(|y| (y - mean).powi(2)).sum::<f64>();
+            fit.outputs.push(basis.fit(targets));
+        }
+        fit
+    }
+
+    /// Values of the outputs that stand for a label.
+    fn targets(&self, label: &[f64]) -> Vec<f64> {
+        match self.task.is_class() {
+            true => self.classes.iter().map(|class| if label[0] == *class { 1.0 } else { -1.0 }).collect(),
+            false => label.to_vec(),
+        }
+    }
+
+    /// Leave-one-out error 1 − R².
+    fn loss(&self) -> f64 {
+        self.outputs.iter().map(Output::squares).sum::<f64>() / self.variation
+    }
+}
+
+impl Readout {
+    /// Fits readouts to the signals (N, p) of N records with these labels per task.
+    pub fn new(signals: &[f64], tasks: &[(Task, Labels)]) -> Self {
+        let basis = Basis::new(signals, tasks[0].1.len());
+        let fits = tasks.iter().map(|(task, labels)| TaskFit::new(*task, &basis, labels)).collect();
+        Self { basis, fits }
+    }
+
+    /// Estimated labels per task, from the signals (n, p) of any records.
+    pub fn estimates(&self, signals: &[f64]) -> Vec<Labels> {
+        let estimate = |fit: &TaskFit| {
+            let outputs = self.basis.predict(&fit.outputs, signals);
+            let greatest = |outputs: Vec<f64>| {
+                let best = (0..outputs.len()).max_by(|&a, &b| outputs[a].total_cmp(&outputs[b]));
+                vec![fit.classes[best.expect("there is a class")]]
+            };
+            let rows = outputs.row_iter().map(|row| row.iter().copied().collect());
+            if fit.task.is_class() { rows.map(greatest).collect() } else { rows.collect() }
+        };
+        self.fits.iter().map(estimate).collect()
+    }
+
+    /// Error (%) of records with these signals (n, p) and labels per task: squared errors of the outputs relative to their mean
+    /// variation among the records of the fit; the mean over tasks.
+    fn errors(&self, signals: &[f64], tasks: &[(Task, Labels)]) -> Vec<f64> {
+        let mut errors = vec![0.0; tasks[0].1.len()];
+        for (fit, (_, labels)) in self.fits.iter().zip(tasks) {
+            let outputs = self.basis.predict(&fit.outputs, signals);
+            let scale = 100.0 * self.basis.records() as f64 / fit.variation / self.fits.len() as f64;
+            for ((error, row), label) in errors.iter_mut().zip(outputs.row_iter()).zip(labels) {
+                let squares = row.iter().zip(fit.targets(label)).map(|(said, y)| (said - y).powi(2));
+                *error += scale * squares.sum::<f64>();
+            }
+        }
+        errors
+    }
+
+    /// Geometric mean of the tasks' leave-one-out errors 1 − R².
+    pub(crate) fn loss(&self) -> f64 {
+        (self.fits.iter().map(|fit| fit.loss().ln()).sum::<f64>() / self.fits.len() as f64).exp()
+    }
+
+    /// Cotangent of the loss on the signals (N, p).
+    pub(crate) fn loss_vjp(&self) -> Vec<f64> {
+        let part = self.loss() / self.fits.len() as f64;
+        let outputs = self.fits.iter().flat_map(|fit| {
+            let factor = part / (fit.loss() * fit.variation);
+            fit.outputs.iter().map(move |output| (factor, output))
+        });
+        self.basis.squares_vjp(outputs)
+    }
+}
+
+/// Samples of a trial that have labels.
+struct Labelled {
+    /// Their indices.
+    used: Vec<usize>,
+    /// Signals (n, T·3M), divided by the trial's scales.
+    signals: Vec<f64>,
+    tasks: Vec<(Task, Labels)>,
+}
+
+impl Labelled {
+    fn of(trial: &Trial, samples: &Samples) -> Self {
+        let len = samples.sizes.instants * samples.sizes.outputs;
+        let forces = |i: usize| &samples.targets[i * len..][..len];
+        let is_used = |i: &usize| !samples.failed[*i] && forces(*i).iter().any(|f| *f != 0.0);
+        let used: Vec<usize> = (0..samples.count()).filter(is_used).collect();
+        let signals = trial.scales.inputs(&pick(&samples.signals, samples.count(), &used));
+        let labeller = trial.problem.labeller();
+        let labels =
+            |task: &Task| (*task, used.iter().map(|&i| labeller.label(*task, forces(i))).collect::<Labels>());
+        let tasks = trial.problem.tasks.iter().map(labels).collect();
+        Self { used, signals, tasks }
+    }
+
+    /// # Errors
+    /// If there are too few records, or a label does not vary.
+    fn fit(&self) -> Result<Readout, Trouble> {
+        if self.used.len() < RECORDS_MIN {
+            return Err(Trouble::FewForces);
+        }
+        let readout = Readout::new(&self.signals, &self.tasks);
+        let varied = readout.fits.iter().all(|fit| fit.variation > 0.0);
+        if varied { Ok(readout) } else { Err(Trouble::FewForces) }
+    }
+
+    /// Error (%) of each sample; `None` without force.
+    fn errors(&self, readout: &Readout, samples: &Samples) -> Vec<Option<f64>> {
+        let mut errors: Vec<Option<f64>> =
+            samples.failed.iter().map(|failed| failed.then_some(FAILED)).collect();
+        if !self.used.is_empty() {
+            let found = readout.errors(&self.signals, &self.tasks);
+            self.used.iter().zip(found).for_each(|(&i, error)| errors[i] = Some(error));
+        }
+        errors
+    }
+}
+
+/// Error (%) of each training, test and held-out sample with readouts of the trial's tasks fitted to the training samples.
+///
+/// # Errors
+/// If the training samples are too few or too similar.
+pub(crate) fn task_errors(trial: &Trial, sets: &[Samples; 3]) -> Result<[Vec<Option<f64>>; 3], Trouble> {
+    let labelled = sets.each_ref().map(|set| Labelled::of(trial, set));
+    let readout = labelled[0].fit()?;
+    Ok([0, 1, 2].map(|set| labelled[set].errors(&readout, &sets[set])))
+}
+
+/// Readouts that train a body: each fit is to the newest body's samples alone.
+pub(super) struct TaskLearner<'a> {
+    trial: &'a Trial<'a>,
+    fitted: Option<(Labelled, Readout)>,
+}
+
+impl<'a> TaskLearner<'a> {
+    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+        Self { trial, fitted: None }
+    }
+
+    fn fitted(&self) -> &(Labelled, Readout) {
+        self.fitted.as_ref().expect("it has been fitted")
+    }
+}
+
+impl Learner for TaskLearner<'_> {
+    /// The newest, and the one to which a failed step returns.
+    fn bodies(&self) -> usize {
+        2
+    }
+
+    fn includes_age(&self, _: u32) -> bool {
+        false
+    }
+
+    fn fit(
+        &mut self,
+        on: FitOn,
+        _: u32,
+        _: &mut DecoderState,
+        _: &mut Counters,
+    ) -> Result<FitResult, Trouble> {
+        let samples = match on {
+            FitOn::Recent(bodies) => bodies.last().expect("the newest"),
+            FitOn::Optimum(samples) | FitOn::Alike(samples) | FitOn::Cast(samples) => samples,
+        };
+        let labelled = Labelled::of(self.trial, samples);
+        let readout = labelled.fit()?;
+        let loss = readout.loss();
+        self.fitted = Some((labelled, readout));
+        Ok(FitResult { loss, error: Some(100.0 * loss) })
+    }
+
+    /// That of the samples of the last fit.
+    fn loss_vjp(&mut self, samples: &Samples, _: Loss) -> (Option<f64>, Vec<f64>) {
+        let (labelled, readout) = self.fitted();
+        let mut cotangent = vec![0.0; samples.signals.len()];
+        let len = cotangent.len() / samples.count();
+        let found = self.trial.scales.inputs_vjp(&readout.loss_vjp());
+        for (&i, own) in labelled.used.iter().zip(found.chunks_exact(len)) {
+            cotangent[i * len..][..len].copy_from_slice(own);
+        }
+        (None, cotangent)
+    }
+
+    fn implicit(&mut self, _: &Samples, _: &Samples, _: &mut Counters) -> (Vec<f64>, Option<Implicit>) {
+        unreachable!("the spec is refused: the loss contains the fit")
+    }
+
+    /// The leave-one-out error on these samples (%): a readout of a step's few samples would rank bodies by these.
+    fn error(&mut self, samples: &Samples) -> Option<f64> {
+        Labelled::of(self.trial, samples).fit().ok().map(|readout| 100.0 * readout.loss())
+    }
+}
+
+#[cfg(test)]
+mod tests;

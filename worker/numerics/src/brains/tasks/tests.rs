@@ -1,0 +1,100 @@
+//! Labels of known forces, leave-one-out errors, and their gradients on synthetic signals.
+
+use super::*;
+use crate::random::{Purpose, Stream};
+use nalgebra::{DMatrix, DVector};
+
+const PANELS: usize = 3;
+const INSTANTS: usize = 20;
+
+fn labeller() -> Labeller {
+    Labeller { interval: 0.01, points: vec![[0.0, 5.0], [15.0, 5.0], [30.0, 5.0]] }
+}
+
+/// Pulses of three instants, one per struck panel: (panel, first instant, height).
+fn forces(pulses: &[(usize, usize, f64)]) -> Vec<f64> {
+    let mut forces = vec![0.0; INSTANTS * PANELS];
+    for &(panel, first, height) in pulses {
+        (first..first + 3).for_each(|n| forces[n * PANELS + panel] = height);
+    }
+    forces
+}
+
+#[test]
+fn labels_are_what_the_forces_say() {
+    let two = forces(&[(2, 4, 0.5), (0, 9, -2.0)]);
+    let label = |task: Task| labeller().label(task, &two);
+    assert_eq!(label(Task::Panel), [0.0]);
+    assert_eq!(label(Task::Count), [2.0]);
+    assert_eq!(label(Task::Peak), [2.0, 0.0, 0.5]);
+    let impulse = label(Task::Impulse);
+    assert!((impulse[0] - 60.0).abs() < 1e-9 && impulse[1] == 0.0 && (impulse[2] - 15.0).abs() < 1e-9);
+    // a fifth of the impulse acts 30 mm from the rest
+    let position = label(Task::Position);
+    assert!((position[0] - 6.0).abs() < 1e-9 && (position[1] - 5.0).abs() < 1e-9, "{position:?}");
+    // Instants are numbered from 1.
+    assert!((label(Task::Onset)[0] - 50.0).abs() < 1e-9);
+
+    let all = [two, forces(&[]), forces(&[(2, 4, 0.5), (0, 11, -2.0)])].concat();
+    assert_eq!(labeller().varied(&all, INSTANTS), Vec::new(), "the first blow has the same instant");
+    let all = [all, forces(&[(1, 4, 1.0), (2, 6, 0.5)])].concat();
+    assert_eq!(labeller().varied(&all, INSTANTS), [Task::Panel, Task::Position, Task::Peak, Task::Impulse]);
+}
+
+/// Signals (14, 9) and labels of two tasks that depend on them and on noise.
+fn records() -> (Vec<f64>, [(Task, Labels); 2]) {
+    let mut stream = Stream::new(Purpose::Stimulus, 3, [0, 0]);
+    let x: Vec<f64> = (0..14 * 9).map(|_| 2.0 + stream.normal()).collect();
+    let mut label = |x: &[f64]| vec![x[0] - x[3] + 0.3 * stream.normal(), x[1] + 0.3 * stream.normal()];
+    let peaks: Labels = x.chunks_exact(9).map(&mut label).collect();
+    let panels = peaks.iter().map(|peaks| vec![f64::from(peaks[0] > 0.0)]).collect();
+    (x, [(Task::Peak, peaks), (Task::Panel, panels)])
+}
+
+/// The residual of a record is its error by a fit to all others with the same λ.
+#[test]
+fn residuals_are_those_of_records_left_out() {
+    let (x, tasks) = records();
+    let readout = Readout::new(&x, &tasks);
+    let output = &readout.fits[0].outputs[1];
+    let y: Vec<f64> = tasks[0].1.iter().map(|label| label[1]).collect();
+    let (x, n) = (DMatrix::from_row_slice(14, 9, &x), 14);
+    let centred = |x: &DMatrix<f64>, mean: &nalgebra::RowDVector<f64>| {
+        DMatrix::from_fn(x.nrows(), x.ncols(), |i, j| x[(i, j)] - mean[j])
+    };
+    let ridge = output.share * centred(&x, &x.row_mean()).norm_squared() / f64::from(n);
+    for left_out in 0..14 {
+        let others = x.clone().remove_row(left_out);
+        let known = DVector::from_iterator(13, (0..14).filter(|&i| i != left_out).map(|i| y[i]));
+        let mean = others.row_mean();
+        let z = centred(&others, &mean);
+        let normal = z.tr_mul(&z) + DMatrix::identity(9, 9) * ridge;
+        let w = normal.lu().solve(&z.tr_mul(&known.add_scalar(-known.mean()))).unwrap();
+        let said = known.mean() + ((x.row(left_out) - mean) * w)[0];
+        let (found, wanted) = (output.residuals[left_out], said - y[left_out]);
+        assert!((found.abs() - wanted.abs()).abs() < 1e-9, "{left_out}: {found} {wanted}");
+    }
+}
+
+/// L(x + εδ) = L(x) + ε g·δ + O(ε²), for one task and for several; a common factor on the signals changes nothing.
+#[test]
+fn the_gradient_of_the_loss_is_exact() {
+    let (x, tasks) = records();
+    let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
+    let direction: Vec<f64> = x.iter().map(|_| stream.normal()).collect();
+    for tasks in [&tasks[..1], &tasks[1..], &tasks] {
+        let at = |step: f64| {
+            let x: Vec<f64> = x.iter().zip(&direction).map(|(x, d)| x + step * d).collect();
+            Readout::new(&x, tasks)
+        };
+        let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
+        let gradient = start.loss_vjp();
+        let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+        let remainders = steps.map(|step| (at(step).loss() - start.loss() - step * slope).abs());
+        let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
+        assert!(orders.iter().all(|order| (1.8..2.2).contains(order)), "{slope:e} {orders:?} {remainders:?}");
+        assert!(slope.abs() > 1e-3 && start.loss() > 0.01 && start.loss() < 1.0, "{slope} {}", start.loss());
+        let radial: f64 = gradient.iter().zip(&x).map(|(g, x)| g * x).sum();
+        assert!(radial.abs() < 1e-9, "{radial}");
+    }
+}
