@@ -237,6 +237,7 @@ fn committed_specs_keep_their_hashes() {
     robust-two-core 9ce3fa9d9ca2fd6a
     size-map 21a675451ef496ae
     size-map-network ed0a0046ce69f708
+    tasks-two-core c139bef0c2a2f47e
     transfer fb5577499f8e180e
     two-forces 6251ca1d33765752
     who-senses 86aea9e1955edf73
