@@ -97,7 +97,7 @@ fn the_instruction_set_asked_for_is_the_one_used() {
 #[test]
 fn a_run_that_is_killed_goes_on_to_the_same_results() {
     let bench = Bench::new();
-    bench.file("tiny.toml", &TINY.replace("iterations = 4", "iterations = 20"));
+    bench.file("tiny.toml", &TINY.replace("iterations = 4", "iterations = 100"));
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let steps = || {
         let sql = "SELECT count(*) FROM v_step";
