@@ -12,7 +12,7 @@ from metasense._metasense import Body
 
 
 def serve_body(simulate: Callable[..., torch.Tensor], alpha0: Any, **rest: Any) -> None:
-    """As `metasense.serve_body`, for a PyTorch function of one sample; `torch.func` vectorises and differentiates it."""
+    """As `metasense.serve_body`, for a PyTorch (≥ 2.0) function of one sample; `torch.func` vectorises and differentiates it."""
     torch.set_num_threads(1)  # of each worker's process
 
     def signals(alpha: torch.Tensor, forces: torch.Tensor, times: torch.Tensor, *more: float) -> torch.Tensor:

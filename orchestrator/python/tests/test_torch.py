@@ -79,6 +79,7 @@ serve_body(simulate, [3.0, 20.0], name="levels", panels=["a", "b"], sensors=["x"
 def test_a_function_of_torch_is_a_body(spec, tmp_path):
     from test_serve import of_command
 
+    pytest.importorskip("torch.func", reason="PyTorch 2.0")
     (tmp_path / "levels.py").write_text(LEVELS)
     (tmp_path / "levels.toml").write_text(of_command(spec, "levels.py").replace("tolerance = 1e-7", ""))
     # the command in PATH: a Python with torch may have the package in PYTHONPATH alone
