@@ -84,7 +84,8 @@ impl Source {
             return Ok(own);
         }
         let all = Self::of_layers(layers, &own.file)?;
-        let changed = all.places.iter().filter(|place| place.layer < changes.len() && !place.is_table);
+        let changed =
+            all.places.iter().filter(|place| all.layers[place.layer].is_override() && !place.is_table);
         for place in changed {
             if let Some(remedy) = all.set_by_sweep(&place.key) {
                 return Err(all.wrong(place, &remedy));
@@ -105,20 +106,31 @@ impl Source {
     #[must_use]
     pub fn without_key(&self, key: &str) -> Option<Self> {
         let place = self.places.iter().find(|place| place.key == key)?;
-        let (head, mut all) = (comments(&self.text), toml::from_str::<toml::Table>(&self.text).ok()?);
-        let mut tables = key.split('.').rev();
-        let (last, tables) = (tables.next()?, tables.rev());
+        if self.layers[place.layer].is_override() {
+            return None;
+        }
+        let mut all: toml::Table = toml::from_str(&self.text).ok()?;
+        let (tables, last) = key.rsplit_once('.')?;
         let table =
-            tables.into_iter().try_fold(&mut all, |table, name| table.get_mut(name)?.as_table_mut())?;
-        table.remove(last).filter(|_| !self.layers[place.layer].is_override())?;
-        let text = head + &toml::to_string(&all).ok()?;
-        let flat = Layer { file: self.file.clone(), text: text.clone() }.places(0).ok()?;
+            tables.split('.').try_fold(&mut all, |table, name| table.get_mut(name)?.as_table_mut())?;
+        table.remove(last)?;
+        let text = comments(&self.text) + &toml::to_string(&all).ok()?;
         let places = self.places.iter().filter(|place| place.key != key).cloned().collect();
-        Some(Self { file: self.file.clone(), text, layers: self.layers.clone(), places, flat })
+        Self::with_text(&self.file, text, self.layers.clone(), places).ok()
     }
 
     fn of_layers(layers: Vec<Layer>, file: &Path) -> Result<Self, SpecError> {
         let (text, places) = merged(&layers, file)?;
+        Self::with_text(file, text, layers, places)
+    }
+
+    /// Layers with their merged text.
+    fn with_text(
+        file: &Path,
+        text: String,
+        layers: Vec<Layer>,
+        places: Vec<Place>,
+    ) -> Result<Self, SpecError> {
         let flat = Layer { file: file.to_owned(), text: text.clone() }.places(0)?;
         Ok(Self { file: file.to_owned(), text, layers, places, flat })
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::data::{apart, groups};
+use super::paired::differing;
 use super::resample::{Interval, Resampling};
 use super::trial::{Body, Cluster, Trial};
 
@@ -46,8 +47,7 @@ impl KeptGain {
             Some(interval) if interval.high < 0.0 => "lost",
             _ => "undecided",
         };
-        let [by_means, by_medians] = [verdict(means?), verdict(medians?)];
-        (by_means != by_medians).then(|| format!("{by_means} by means, {by_medians} by medians"))
+        differing([verdict(means?), verdict(medians?)])
     }
 }
 

@@ -103,9 +103,13 @@ pub fn disagreement(ratio: impl Fn(Set) -> Option<Ratio>) -> Option<(Ratio, Stri
         Some(false) => "below 1",
         None => "undecided",
     };
-    let (by_means, by_medians) = (verdict(&mean), verdict(&median));
-    let text = format!("{by_means} by means, {by_medians} by medians");
-    (mean.trials == median.trials && by_means != by_medians).then_some((median, text))
+    let text = differing([verdict(&mean), verdict(&median)]).filter(|_| mean.trials == median.trials);
+    text.map(|text| (median, text))
+}
+
+/// The verdicts by means and by medians over samples, if they differ.
+pub(super) fn differing([by_means, by_medians]: [&str; 2]) -> Option<String> {
+    (by_means != by_medians).then(|| format!("{by_means} by means, {by_medians} by medians"))
 }
 
 /// Quantity by which the training of two networks is compared.

@@ -26,12 +26,11 @@ impl Combinations {
         loop {
             let (spec, combinations, unread) = parsed(&source)?;
             let Some(error) = unread else { return Ok(Self { source, spec, combinations, left_out }) };
-            let file = source.without_overrides().map(|file| parsed(&file));
-            let is_wrong = |unread: Option<SpecError>| unread.is_some_and(|unread| unread.key == error.key);
-            let rest = match file {
-                Some(Ok((.., unread))) if !is_wrong(unread.clone()) => source.without_key(&error.key),
-                _ => None,
+            let is_read = |file: &Source| {
+                parsed(file).is_ok_and(|(.., unread)| unread.is_none_or(|unread| unread.key != error.key))
             };
+            let rest =
+                source.without_overrides().filter(is_read).and_then(|_| source.without_key(&error.key));
             left_out.push(error.to_string());
             source = rest.ok_or(error)?;
         }

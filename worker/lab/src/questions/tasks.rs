@@ -4,7 +4,7 @@
 //! forces that a linear decoder estimates. Samples without force and failed samples are not used.
 
 use metasense_numerics::brain::prediction_error;
-use metasense_numerics::brains::{Labeller, Labels, Readout, Task};
+use metasense_numerics::brains::{Labeller, Labels, Readout, Task, classes};
 use metasense_numerics::student::student;
 
 /// Samples of a body, for training and for testing.
@@ -155,9 +155,7 @@ impl Score {
             let half = z * (error_rate * (1.0 - error_rate) / n + z * z / (4.0 * n * n)).sqrt();
             let interval =
                 [(middle - half) / scale, (middle + half) / scale].map(|x| 100.0 * x.clamp(0.0, 1.0));
-            let mut classes: Vec<f64> = truth.iter().map(|label| label[0]).collect();
-            classes.sort_by(f64::total_cmp);
-            classes.dedup();
+            let classes = classes(truth);
             let recall = |class: &f64| {
                 let own: Vec<bool> = pairs().filter(|(a, _)| a[0] == *class).map(|(a, b)| a == b).collect();
                 own.iter().filter(|right| **right).count() as f64 / own.len() as f64

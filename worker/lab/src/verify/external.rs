@@ -6,10 +6,10 @@ use metasense_numerics::random::{Purpose, Stream};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::external::{External, Question};
 use metasense_worker::problem::external::body;
-use metasense_worker::problem::problem;
 use metasense_worker::run::Failure;
 
 use super::{Row, dot, relative};
+use crate::prepare::any_body;
 
 /// Samples of a test.
 const SAMPLES: usize = 3;
@@ -26,9 +26,8 @@ const ORDER: f64 = 0.2;
 /// # Errors
 /// If the body is not external or its process fails.
 pub fn external(trial: &TrialSpec, pool: &Pool) -> Result<Vec<Row>, Failure> {
-    let rejected = |e: metasense_worker::problem::Invalid| Failure::Rejected(e.to_string());
-    let (initial, body) = body(trial).map_err(rejected)?;
-    let problem = problem(trial).map_err(rejected)?;
+    let (initial, body) = body(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    let problem = any_body(trial)?;
     let forces = problem.forces(Purpose::Stimulus, 0, SAMPLES);
     tests(&body, &problem.scene, &initial, &forces, trial.solver.tolerance, pool).map_err(Failure::of_body)
 }

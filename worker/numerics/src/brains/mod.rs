@@ -32,7 +32,7 @@ pub use records::{HeldOutEstimates, Records};
 pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
 pub(crate) use tasks::task_errors;
-pub use tasks::{Labeller, Labels, RECORDS_MIN, Readout, Task};
+pub use tasks::{Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
 
 use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};

@@ -56,6 +56,14 @@ impl Task {
 /// Label of each record for a task: a class, or values.
 pub type Labels = Vec<Vec<f64>>;
 
+/// The classes among labels, ascending.
+pub fn classes(labels: &Labels) -> Vec<f64> {
+    let mut classes: Vec<f64> = labels.iter().map(|label| label[0]).collect();
+    classes.sort_by(f64::total_cmp);
+    classes.dedup();
+    classes
+}
+
 /// Computes labels from forces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Labeller {
@@ -143,9 +151,7 @@ struct TaskFit {
 
 impl TaskFit {
     fn new(task: Task, basis: &Basis, labels: &Labels) -> Self {
-        let mut classes: Vec<f64> = labels.iter().filter(|_| task.is_class()).map(|label| label[0]).collect();
-        classes.sort_by(f64::total_cmp);
-        classes.dedup();
+        let classes = if task.is_class() { classes(labels) } else { Vec::new() };
         let mut fit = Self { task, classes, outputs: Vec::new(), variation: 0.0 };
         let targets: Labels = labels.iter().map(|label| fit.targets(label)).collect();
         let column = |k: usize| targets.iter().map(|target| target[k]).collect::<Vec<_>>();
