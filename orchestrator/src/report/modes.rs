@@ -55,7 +55,7 @@ pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result
         "modes",
         "Eigenmodes of the bodies",
         format!(
-            "The slowest modes of small motions about rest of {who}: the initial body's above, the optimised body's below. \
+            "The slowest modes of small motions about rest of {who}: the initial body's above, the trained body's below. \
              Titles give frequency and damping relative to critical. Motion is drawn far out of scale; units are coloured \
              by amplitude, from pale to strong (square root)."
         ),
