@@ -794,6 +794,35 @@ def tasks():
         yield [without, *cells], found
 
 
+def tasks_transfer():
+    every = rows("tasks/transfer.csv")
+
+    def logs(training, task):
+        own = {}
+        for row in every:
+            readout = "decoded" if task == "forces" else "direct"
+            if [row["trained_for"], row["task"], row["readout"]] == [training, task, readout]:
+                own[row["seed"], row["body"]] = max(float(row["error"]), float(row["least"]))
+        return [math.log(own[seed, "initial"] / own[seed, "optimised"]) for seed in sorted({seed for seed, _ in own})]
+
+    names = ["forces", "panel", "count", "position", "peak", "impulse", "onset"]
+    for training, *cells in table("tasks transfer"):
+        if ": " in training:
+            training = training.split(":")[0]
+            yield cells, [short(sum(logs(training, task)) / sum(logs(task, task))) for task in names]
+        else:
+            yield cells, [with_interval([math.exp(x) for x in logs(training, task)]) for task in names]
+
+
+def tasks_decoded():
+    for task, unit, *cells in table("tasks decoded"):
+        def mean(training, body, column):
+            own = rows("tasks/transfer.csv", trained_for=training, task=task, readout="decoded", body=body)
+            return short(statistics.fmean(numbers(own, column)))
+        initial = [mean("forces", "initial", column) for column in ("trivial", "error")]
+        yield cells, initial + [mean(training, "optimised", "error") for training in ("forces", "impulse", "all")]
+
+
 def paper_protocol():
     yield from of_protocol("paper protocol", "fig2", "01")
 
@@ -947,7 +976,7 @@ def recordings():
         yield said[line], [" → ".join(short(geometric(errors)) for errors in of) + " %", gain]
 
 
-CHECKS = [quickstart, findings, authors, authors_casts, tasks, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing, recordings]
+CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing, recordings]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -104,6 +104,8 @@ const BLOCKS: &[(&str, Render)] = &[
     ("authors", authors::gains),
     ("authors casts", authors::casts),
     ("tasks", tasks::tasks),
+    ("tasks transfer", tasks::transfer),
+    ("tasks decoded", tasks::decoded),
     ("deviations", deviations::deviations),
     ("deviations of other figures", deviations::other_figures),
 ];
