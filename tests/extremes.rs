@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use crate::common::{Bench, TINY};
 use metasense::plan::{Plan, cost};
-use metasense_schemas::source::{Source, spec_schema};
+use metasense_source::{Source, spec_schema};
 use serde_json::Value;
 
 /// Keys of numbers in the schema of a spec, with the number of entries of a list, and whether the numbers are integers.

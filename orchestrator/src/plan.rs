@@ -15,11 +15,11 @@ use std::collections::{BTreeSet, HashSet};
 use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
-use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, BodyKind, Design, Disturbance, HashError, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors,
-    Stimuli, SweepSpec, Training, TrialSpec, position_of,
+    Body, BodyKind, Design, Disturbance, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
+    SweepSpec, Training, TrialSpec,
 };
+use metasense_source::{HashError, Source, SpecError, position_of};
 use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
 use metasense_worker::memory;
 use metasense_worker::problem::{self, Invalid, Panel, as_written};

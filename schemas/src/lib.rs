@@ -3,7 +3,5 @@
 pub mod database;
 pub mod reason;
 pub mod record;
-pub mod source;
 pub mod spec;
-pub mod twin;
 pub mod wire;

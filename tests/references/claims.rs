@@ -12,7 +12,7 @@ use metasense::cell::plain;
 use metasense::look::{Table, file};
 use metasense::plan::Plan;
 use metasense::report::claims::figure;
-use metasense_schemas::source::Source;
+use metasense_source::Source;
 use serde_json::{Value, json};
 
 use super::brains::with;

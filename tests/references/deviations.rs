@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use metasense::plan::Plan;
-use metasense_schemas::source::Source;
 use metasense_schemas::spec::flatten;
+use metasense_source::Source;
 use serde_json::Value;
 
 use super::{root, table};

@@ -16,7 +16,7 @@ use crate::look::{Format, Table};
 use crate::plan::counted;
 use crate::report::{ReportData, figures, html, load};
 use crate::store::Reader;
-use metasense_schemas::source::each_file;
+use metasense_source::each_file;
 
 /// Writes a folder with everything needed to reproduce results, for a data repository
 ///

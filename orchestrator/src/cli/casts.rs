@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use metasense_lab::casts::casts;
 use metasense_schemas::record::CastReading;
-use metasense_schemas::source::Source;
 use metasense_schemas::spec::{TrialSpec, Variation, VariationFile};
+use metasense_source::Source;
 use metasense_worker::problem::INVERTED_PER_CAST;
 
 use super::named::Designed;

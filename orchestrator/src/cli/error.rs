@@ -4,7 +4,7 @@ use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use metasense_lab::measured::MeasuredError;
-use metasense_schemas::source::SpecError;
+use metasense_source::SpecError;
 use metasense_worker::design::DesignError;
 use metasense_worker::limits::Shortage;
 

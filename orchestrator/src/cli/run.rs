@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use metasense_schemas::record::TrialErrors;
-use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
+use metasense_source::Source;
 use metasense_worker::limits::{Needs, check};
 use tokio::sync::{Notify, oneshot};
 

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use metasense_schemas::source::spec_schema;
+use metasense_source::spec_schema;
 
 use super::Error;
 use crate::exit::Exit;

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
 
-use metasense_schemas::spec::{HashError, position_of};
+use metasense_source::{HashError, position_of};
 
 use super::Engine;
 use super::writer::{Entry, NewTrials};

@@ -1,8 +1,8 @@
 //! Axes over other keys than K, M, placement and seed: lists per key, or points that set several keys; and exclusions.
 
 use crate::analysis::numbers;
-use metasense_schemas::source::{KnownKeys, Source, SpecError};
 use metasense_schemas::spec::SweepSpec;
+use metasense_source::{KnownKeys, Source, SpecError};
 use serde_json::{Map, Value};
 
 /// The spec at one value per axis.

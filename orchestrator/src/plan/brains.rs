@@ -1,9 +1,9 @@
 //! Resolves the decoders of a trial, and removes keys that they do not use, so that equal trials have equal hashes.
 
-use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
     Brain, BrainKind, Evaluation, Objective, Optimise, Protocol, Ridge, SweepSpec, Variation,
 };
+use metasense_source::{Source, SpecError};
 use metasense_worker::problem::lags;
 
 /// Kind of the decoder of the bodies, and of the decoder that trains them. Stacked and inverse decoders do not train; linear

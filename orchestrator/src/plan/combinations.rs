@@ -1,7 +1,7 @@
 //! The combinations of a sweep's axes, with the keys left out that overrides have made irrelevant.
 
-use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::SweepSpec;
+use metasense_source::{Source, SpecError};
 
 use super::axes::{self, Combination};
 use super::{brains, check_sweep, goal, until};

@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use metasense_lab::demands::Demands;
 use metasense_schemas::record::Trial;
-use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
     BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, Point, SweepSpec, TrialSpec, flatten,
 };
+use metasense_source::{Source, SpecError};
 pub use metasense_worker::RUNGS;
 use metasense_worker::problem::{self, Invalid};
 use metasense_worker::{RECORDS, evaluation_step_near};

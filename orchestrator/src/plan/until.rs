@@ -1,8 +1,8 @@
 //! Plans with [until]: the grid to which the sweep may grow, and whether it can answer the questions.
 
 use metasense_schemas::record::TrialErrors;
-use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{SweepSpec, Until};
+use metasense_source::{Source, SpecError};
 
 use super::{Plan, Trial};
 use crate::analysis::until::{self, Decision};

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Sources of the program, relative to the workspace root; the first five affect the results of trials, the sixth other results.
-pub const PROGRAM: [&str; 11] = [
+pub const PROGRAM: [&str; 12] = [
     "Cargo.lock",
     "schemas/src",
     "worker/kernels/src",
@@ -19,6 +19,7 @@ pub const PROGRAM: [&str; 11] = [
     "orchestrator/render/src",
     "orchestrator/analysis/src",
     "orchestrator/src",
+    "schemas/source/src",
     "schemas/schema.sql",
 ];
 

@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-use metasense_schemas::source::SpecError;
 use metasense_schemas::spec::{GoalReader, GoalReaderName, TrialSpec};
+use metasense_source::SpecError;
 use metasense_worker::FAILED;
 
 use super::Sweep;

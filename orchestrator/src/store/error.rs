@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::VERSION;
-use metasense_schemas::spec::HashError;
+use metasense_source::HashError;
 use metasense_worker::limits::{Needs, check};
 
 use super::presence::FileLoss;

@@ -21,7 +21,7 @@ use super::write::read_checkpoint;
 use super::{StoreError, has_journal, lock, npy_values, options, resolve_links, sidecar};
 use crate::cell;
 use metasense_schemas::record::Checkpoint;
-use metasense_schemas::spec::position_of;
+use metasense_source::position_of;
 
 /// A complete answer: column names, and rows; blobs are replaced by the text `blob of N bytes`.
 pub type QueryResult = (Vec<String>, Vec<Vec<Value>>);

@@ -7,9 +7,7 @@ mod external;
 mod feasible;
 mod goal;
 mod measured;
-mod named;
 mod optimise;
-mod removed;
 mod sensors;
 mod solver;
 mod stimuli;
@@ -26,12 +24,10 @@ pub use external::{BodyKind, Constraint, Description};
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals, Start};
-pub use named::{HashError, position_of};
 pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
     Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail, Task,
 };
-pub use removed::removed;
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{

@@ -5,13 +5,16 @@ use std::path::Path;
 use metasense_numerics::dynamics::{Parameters, PartFactors};
 pub use metasense_numerics::identify::Twin;
 use metasense_numerics::variation::{Cast, Chips};
-use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
-use metasense_schemas::twin::{self as stored, Factors};
+use metasense_source::Source;
 use metasense_worker::invalid::{Invalid, invalid, positive, require};
 
 use crate::measured::MeasuredError;
 use crate::simulate::body;
+
+pub mod stored;
+
+use stored::Factors;
 
 /// Converts a twin to its stored form.
 pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {

@@ -1,5 +1,5 @@
-use metasense_schemas::source::Source;
 use metasense_schemas::spec::Body;
+use metasense_source::Source;
 use metasense_worker::problem;
 
 use crate::plan::Plan;

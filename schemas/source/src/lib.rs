@@ -10,14 +10,18 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use crate::spec::{Measured, SweepSpec, removed};
+use metasense_schemas::spec::{Measured, SweepSpec};
 
 mod keys;
 mod layers;
+mod named;
+mod removed;
 
 pub use keys::KnownKeys;
 pub use layers::each_file;
 use layers::{Layer, comments, merged};
+pub use named::{HashError, position_of};
+use removed::removed;
 
 /// An error in a spec file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

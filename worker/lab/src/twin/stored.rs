@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Twin {
-    /// Hash of the body: [`crate::spec::TrialSpec::body_digest`].
+    /// Hash of the body: [`metasense_schemas::spec::TrialSpec::body_digest`].
     pub body: String,
     /// RMS residual of the records' signals relative to the noise of the chips.
     pub misfit: f64,

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde_json::Value;
 
 use super::TABLES;
-use crate::spec::SweepSpec;
+use metasense_schemas::spec::SweepSpec;
 
 /// All keys that a file may have, by path.
 #[derive(Debug)]
