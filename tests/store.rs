@@ -2,7 +2,8 @@
 
 use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Trial;
-use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};
+use metasense::reader::Reader;
+use metasense::store::{Array, RunPlan, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{
     BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Parts, Provenance, Reading, Spread,
     StepRecord, TrialResult, UnderReading,

@@ -10,9 +10,10 @@ use metasense::cluster::merge::{Extent, merge};
 use metasense::look::Table;
 use metasense::plan::{Plan, Trial as Planned};
 use metasense::progress::Observer;
+use metasense::reader::Reader;
 use metasense::report::load::{finished_trials, story};
 use metasense::serve::Trials;
-use metasense::store::{Level, Reader, RunPlan, Store};
+use metasense::store::{Level, RunPlan, Store};
 use metasense_schemas::record::{
     Band, BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Provenance, Reading, Seconds, Spread,
     StepRecord, TrialResult,

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use crate::common::{Bench, SPEC};
 use metasense::plan::Plan;
-use metasense::store::{Reader, Store};
+use metasense::reader::Reader;
+use metasense::store::Store;
 use metasense_schemas::database::VERSION;
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
 

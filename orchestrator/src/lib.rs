@@ -16,6 +16,7 @@ pub mod link;
 pub mod plan;
 pub mod progress;
 pub mod provenance;
+pub mod reader;
 pub mod report;
 pub mod rounds;
 pub mod scheduler;

@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 use crate::control::run_of;
 use crate::fleet::{WorkerProcess, workers_of};
 use crate::look::{Table, duration, short_hash};
-use crate::store::{Reader, StoreError};
+use crate::reader::Reader;
+use crate::store::StoreError;
 
 /// Running trials with their last step and the seconds since it was recorded.
 const RUNNING: &str = "

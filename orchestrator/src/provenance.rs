@@ -9,7 +9,8 @@ use metasense_worker::simd;
 
 use crate::files::host;
 use crate::look::short_hash;
-use crate::store::{CodeVersion, Reader, StoreError};
+use crate::reader::{CodeVersion, Reader};
+use crate::store::StoreError;
 
 /// Provenance of this program on this machine with `threads` threads per worker.
 #[must_use]

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 
 use metasense::look::Table;
-use metasense::store::Reader;
+use metasense::reader::Reader;
 use npyz::WriterBuilder;
 
 /// A small but complete spec of two trials.

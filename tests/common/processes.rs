@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use metasense::store::Reader;
+use metasense::reader::Reader;
 use rustix::process::{Pid, Signal, kill_process};
 
 pub fn kill(pid: u32, signal: i32) {

@@ -4,7 +4,8 @@ use clap::ValueEnum;
 use metasense::analysis::Question;
 use metasense::cli::{GROUPS, TOP, command};
 use metasense::exit::EXIT_CODES;
-use metasense::store::{Reader, Store};
+use metasense::reader::Reader;
+use metasense::store::Store;
 use metasense_schemas::database::VIEWS;
 
 use super::table;

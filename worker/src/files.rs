@@ -97,6 +97,14 @@ pub fn npy_bytes<T: AutoSerialize + Copy>(shape: &[usize], values: &[T]) -> Vec<
     bytes
 }
 
+/// The values of an `.npy` file in C order.
+///
+/// # Errors
+/// If the bytes are not an array of this type.
+pub fn npy_values<T: Deserialize>(bytes: &[u8]) -> io::Result<Vec<T>> {
+    NpyFile::new(bytes).and_then(NpyFile::into_vec)
+}
+
 /// Contents of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {

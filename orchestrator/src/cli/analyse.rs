@@ -14,9 +14,9 @@ use crate::analysis::{Question, Terms, Trial};
 use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
+use crate::reader::Reader;
 use crate::report::claims::{figure, trials_table};
 use crate::report::load::{finished_trials, verdicts};
-use crate::store::Reader;
 
 /// Answers the questions of a sweep in tables: gain, sensors needed, complexity, time
 ///

@@ -14,8 +14,8 @@ use crate::cluster::merge::{Extent, merge};
 use crate::exit::Exit;
 use crate::look::{Format, Table};
 use crate::plan::counted;
+use crate::reader::Reader;
 use crate::report::{ReportData, figures, html, load};
-use crate::store::Reader;
 use metasense_source::each_file;
 
 /// Writes a folder with everything needed to reproduce results, for a data repository

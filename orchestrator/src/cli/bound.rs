@@ -12,7 +12,7 @@ use super::{Error, Format, cores, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::exit::Exit;
 use crate::look::{Table, short_hash};
-use crate::store::Reader;
+use crate::reader::Reader;
 
 /// Computes the error of the best linear decoder, and a lower bound for all decoders
 ///

@@ -9,10 +9,10 @@ use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::plan::goal::Space;
 use crate::plan::{Plan, counted};
+use crate::reader::Reader;
 use crate::report::search::{COLUMNS, SearchState};
 use crate::rounds::search;
 use crate::scheduler::Outcome;
-use crate::store::Reader;
 use tokio::sync::Notify;
 
 /// Searches a sweep for the cheapest design that meets the requirement in its [goal]

@@ -22,8 +22,9 @@ use crate::export::{
 };
 use crate::look::Format;
 use crate::provenance;
+use crate::reader::{Reader, StoredTrial};
 use crate::report::body::sketch;
-use crate::store::{Reader, StoredTrial, npy_bytes};
+use crate::store::npy_bytes;
 
 /// Format of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

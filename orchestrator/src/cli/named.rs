@@ -20,7 +20,8 @@ use crate::cluster::home::attempts;
 use crate::files;
 use crate::look::Table;
 use crate::plan::{Plan, SpecBody, Trial, counted};
-use crate::store::{Reader, StoreError, StoredTrial, quoted};
+use crate::reader::{Reader, StoredTrial, quoted};
+use crate::store::StoreError;
 
 /// Measured records of a trial's body. Prints a note if their signals had to be resampled.
 pub(super) fn read_records(file: &Path, trial: &TrialSpec) -> Result<Measured, Error> {

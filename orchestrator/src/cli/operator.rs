@@ -13,7 +13,7 @@ use crate::analysis::numbers::distinct;
 use crate::analysis::operator::{BodyPair, MEASURES, table};
 use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
-use crate::store::Reader;
+use crate::reader::Reader;
 
 /// Computes why training helps: the information in the signals, before any decoder
 ///

@@ -10,8 +10,8 @@ use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::files::Output;
 use crate::look::{RowWriter, Table, lines, screen, standard_output};
+use crate::reader::Reader;
 use crate::spool::Spool;
-use crate::store::Reader;
 
 /// Runs an SQL query on a database, read-only, also while a run writes to it
 ///

@@ -9,8 +9,8 @@ use super::{Error, cores, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::look::{Figure, Legend, Picture, file};
+use crate::reader::Reader;
 use crate::report::{ReportData, figures, html, load};
-use crate::store::Reader;
 
 /// Writes the answers and figures of a database into one HTML file
 #[derive(Debug, clap::Args)]

@@ -12,7 +12,7 @@ use crate::analysis::kinds::brains_of;
 use crate::look::Table;
 use crate::plan::{Plan, counted, values_at};
 use crate::provenance;
-use crate::store::{Reader, quoted};
+use crate::reader::{Reader, quoted};
 
 /// Maximum number of rows printed for people.
 const MOST_ROWS: usize = 400;

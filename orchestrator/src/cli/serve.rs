@@ -10,8 +10,8 @@ use super::{Error, end_with};
 use crate::cluster::home::attempts;
 use crate::engine::Signals;
 use crate::exit::Exit;
+use crate::reader::Reader;
 use crate::serve::{Address, ServerState, Source, Token, serve};
-use crate::store::Reader;
 
 /// Shows databases in a browser, live, until Ctrl-C
 ///

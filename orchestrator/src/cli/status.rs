@@ -18,7 +18,7 @@ use crate::look::{Table, row, short_hash};
 use crate::plan::{Trial, counted, point_in_words};
 use crate::progress::FAILED;
 use crate::provenance;
-use crate::store::{Nearest, Reader, quoted};
+use crate::reader::{Nearest, Reader, quoted};
 
 /// Shows the state of trials and the causes of failures; or one trial, or shards
 ///

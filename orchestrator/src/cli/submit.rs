@@ -22,7 +22,7 @@ use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files;
 use crate::plan::{Plan, Trial, cost, counted};
-use crate::store::Reader;
+use crate::reader::Reader;
 
 /// Runs a sweep as shards on a cluster or on several machines, and merges them
 ///

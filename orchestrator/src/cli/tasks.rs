@@ -14,7 +14,7 @@ use crate::analysis::kinds::brains_of;
 use crate::analysis::tasks::{TaskResult, matrix, table};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::store::{Reader, StoredTrial};
+use crate::reader::{Reader, StoredTrial};
 
 /// Estimates quantities other than forces from finished bodies: where, how many, when
 ///

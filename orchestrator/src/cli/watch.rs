@@ -8,7 +8,7 @@ use super::status::newest;
 use super::{Error, Format, is_live, print_rows};
 use crate::exit::Exit;
 use crate::progress::Observer;
-use crate::store::Reader;
+use crate::reader::Reader;
 
 /// Shows a run in the terminal: workers, steps, errors, remaining time
 ///

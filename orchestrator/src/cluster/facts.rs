@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use super::home::attempts;
 use super::merge::{Extent, MergeError, merge};
 use crate::leftovers;
-use crate::store::ask_unchanging;
+use crate::reader::ask_unchanging;
 
 /// File name in the folder; merges do not take it for a shard's database.
 const NAME: &str = "facts.db";

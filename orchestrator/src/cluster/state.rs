@@ -10,7 +10,7 @@ use sqlx::sqlite::SqliteRow;
 
 use super::home::attempts;
 use super::{Assignment, AssignmentError, Shard};
-use crate::store::ask_unchanging;
+use crate::reader::ask_unchanging;
 
 /// State of a shard.
 #[derive(Debug, Clone, PartialEq)]

@@ -20,7 +20,8 @@ use metasense_lab::replay::{Replay, ReplayDecoder, fit_decoder, replay, replay_f
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::run::Failure;
 
-use crate::store::{StoreError, StoredTrial};
+use crate::reader::StoredTrial;
+use crate::store::StoreError;
 
 /// Limits of the bands about a body's predictions (N, T, K) (N), by name: `forces_low` and `forces_high` for single instants,
 /// `sample_low` and `sample_high` for whole samples. An inverse decoder has only the former.

@@ -7,7 +7,7 @@ use super::outline::{HOLE, largest_pocket, screwed};
 use super::{Fit, Mould, Outline};
 use crate::analysis::Body;
 use crate::look::number;
-use crate::store::StoredTrial;
+use crate::reader::StoredTrial;
 
 /// Markdown for users who cast the body and flash the decoder. `brain`: head of the decoder's file, if there is one.
 pub fn notes(

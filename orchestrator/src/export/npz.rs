@@ -12,7 +12,8 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::{bands, replays, unreadable};
 use crate::analysis::Body;
-use crate::store::{StoreError, StoredTrial, npy_bytes};
+use crate::reader::StoredTrial;
+use crate::store::{StoreError, npy_bytes};
 
 /// The archive of a trial, simulated again; `note` receives a message if no linear decoder can be fitted.
 ///

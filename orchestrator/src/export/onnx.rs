@@ -14,7 +14,8 @@ use onnx_rs::ast::{
 
 use super::unreadable;
 use crate::analysis::Body;
-use crate::store::{StoreError, StoredTrial};
+use crate::reader::StoredTrial;
+use crate::store::StoreError;
 
 /// IR version and opset that runtimes since ONNX 1.9 (2021) read.
 const FORMAT: (i64, i64) = (7, 13);

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::bands;
 use crate::analysis::Body;
 use crate::look::{Table, row};
-use crate::store::StoredTrial;
+use crate::reader::StoredTrial;
 
 /// Forces (N), signals (mm/s², rad/s), predictions and their bands (N) of both bodies. `set` is train, test or holdout; `time` in s.
 pub fn table(stored: &StoredTrial, replays: &[Replay; 2]) -> Table {

@@ -7,7 +7,7 @@ use metasense_worker::design::{Active, Kind, Violation};
 use crate::analysis::Body;
 use crate::look::body::{Arrow, Mark, Numbers, Point, Sketch, frame, middle};
 use crate::look::{Figure, Picture, Table, legend, row};
-use crate::store::StoredTrial;
+use crate::reader::StoredTrial;
 
 /// The body with its active and violated constraints.
 pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {

@@ -15,7 +15,8 @@ use crate::analysis::trial::{CastDecoder, CastReading, CurvePoint, Reading, Unde
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Answer, Data, MOST_ROWS, Table};
 use crate::provenance;
-use crate::store::{Reader, Row, StoreError, check, npy_values};
+use crate::reader::{Reader, Row};
+use crate::store::{StoreError, check, npy_values};
 use metasense_schemas::reason::CANCELLED;
 
 /// Parts of the time of an outer step: columns of `v_step` and words.

@@ -24,7 +24,7 @@ use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, contents, download, omitted_rows_note, page};
-use crate::store::{CodeVersion, StoredTrial};
+use crate::reader::{CodeVersion, StoredTrial};
 
 /// All data of a report.
 #[derive(Debug)]

@@ -10,7 +10,7 @@ use super::body::sketch;
 use crate::analysis::Body;
 use crate::look::body::{Frame, Sketch, frame};
 use crate::look::{Axis, Figure, Legend, Picture, Plot, SERIES, Scale, Table, legend, number, row, wave};
-use crate::store::StoredTrial;
+use crate::reader::StoredTrial;
 
 /// Number of modes per body in a report.
 const SHOWN: usize = 4;

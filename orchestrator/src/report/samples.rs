@@ -13,7 +13,7 @@ use crate::analysis::kinds::brains_of;
 use crate::look::body::{Sketch, frame};
 use crate::look::wave::{self, animation, snapshot};
 use crate::look::{Figure, Table, legend, number, row, short_hash};
-use crate::store::StoredTrial;
+use crate::reader::StoredTrial;
 
 /// Number of test samples for which an inverse decoder is run again; each takes as long as about a hundred simulations.
 const INVERSE: usize = 16;

@@ -12,7 +12,8 @@ use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::goal::{SearchTrial, Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, cost, counted};
-use crate::store::{Reader, StoreError, TrialProgress};
+use crate::reader::{Reader, TrialProgress};
+use crate::store::StoreError;
 
 /// The state of a search.
 #[derive(Debug)]

@@ -8,9 +8,9 @@ use crate::engine::RerunPolicy;
 use crate::look::number;
 use crate::plan::goal::{Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial};
+use crate::reader::Reader;
 use crate::report::search::{Bodies, SearchData, begun};
 use crate::scheduler::Outcome;
-use crate::store::Reader;
 
 /// Runs the trials that the search requests until it ends.
 ///

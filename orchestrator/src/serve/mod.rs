@@ -35,8 +35,8 @@ use tokio::time::sleep;
 
 use crate::look::page_style;
 use crate::look::wave::SCRIPT;
+use crate::reader::StoredTrial;
 use crate::report::samples::Replayed;
-use crate::store::StoredTrial;
 pub use address::Address;
 use guard::{WriteTimeout, guard};
 use lobby::{ClientConnection, ConnectionLimiter, STAY};

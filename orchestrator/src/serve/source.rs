@@ -16,9 +16,10 @@ use crate::exit::chain;
 use crate::fleet::cpu_seconds;
 use crate::look::{Answer, Figure, Table};
 use crate::progress::{FAILED, Observer, Progress};
+use crate::reader::Reader;
 use crate::report::load::finished_trials;
 use crate::report::{answers, brains, figures};
-use crate::store::{Reader, StoreError};
+use crate::store::StoreError;
 
 /// Time between two checks for changes.
 const POLL: Duration = Duration::from_millis(100);

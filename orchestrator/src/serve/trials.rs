@@ -10,7 +10,8 @@ use serde_json::Value;
 
 use crate::analysis::setting::{Setting, Settings};
 use crate::cell::plain;
-use crate::store::{Reader, StoreError};
+use crate::reader::Reader;
+use crate::store::StoreError;
 
 /// Numbers of a trial: names for sorting and filtering, and headings.
 pub const NUMBERS: [(&str, &str); 18] = [

@@ -3,13 +3,13 @@
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::Optimise;
 
-use super::{Reader, Store, StoreError, npy_bytes};
+use super::{Store, npy_bytes};
 
 /// Most designs kept per trial.
 const KEPT: usize = 20;
 
 /// Prefix of the array names; the number of outer steps follows.
-const NAME: &str = "design_step_";
+pub(crate) const NAME: &str = "design_step_";
 
 impl Store {
     /// Keeps a checkpoint's design if its step is due: the last step, and every n-th step counted back from it, n = steps /
@@ -47,22 +47,5 @@ impl Store {
         .execute(&mut self.connection)
         .await?;
         Ok(())
-    }
-}
-
-impl Reader {
-    /// Kept designs of a trial: number of outer steps, and α (mm, 32-bit precision).
-    ///
-    /// # Errors
-    /// If SQLite fails or an array cannot be read.
-    pub async fn designs_of(&mut self, hash: &str) -> Result<Vec<(u32, Vec<f64>)>, StoreError> {
-        let mut designs = Vec::new();
-        for array in self.arrays_of(hash).await? {
-            if let Some(step) = array.name.strip_prefix(NAME).and_then(|step| step.parse().ok()) {
-                designs.push((step, array.values::<f32>()?.into_iter().map(f64::from).collect()));
-            }
-        }
-        designs.sort_by_key(|design: &(u32, Vec<f64>)| design.0);
-        Ok(designs)
     }
 }

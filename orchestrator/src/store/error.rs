@@ -9,7 +9,7 @@ use metasense_worker::limits::{Needs, check};
 use super::presence::FileLoss;
 
 /// `doing` of errors before anything was started.
-pub(super) const OPENING: &str = "opening";
+pub(crate) const OPENING: &str = "opening";
 
 /// An error of the store.
 #[derive(Debug, thiserror::Error)]
@@ -205,7 +205,7 @@ impl StoreError {
     }
 
     /// Changes the failed operation to opening.
-    pub(super) fn on_opening(self) -> Self {
+    pub(crate) fn on_opening(self) -> Self {
         match self {
             Self::Sql { path, source, .. } => Self::Sql { path, doing: OPENING, source },
             other => other,
@@ -259,20 +259,20 @@ fn code(source: &sqlx::Error) -> Option<u32> {
 }
 
 /// Whether the file is locked or damaged, or the disk full or failing, so that every statement would fail.
-pub(super) fn is_trouble(source: &sqlx::Error) -> bool {
+pub(crate) fn is_trouble(source: &sqlx::Error) -> bool {
     matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(5 | 6 | 10 | 11 | 13))
 }
 
 /// Whether the error is malformed JSON in a column.
-pub(super) fn is_no_json(source: &sqlx::Error) -> bool {
+pub(crate) fn is_no_json(source: &sqlx::Error) -> bool {
     source.as_database_error().is_some_and(|e| e.message() == NO_JSON)
 }
 
 /// SQLite's message for malformed JSON.
-pub(super) const NO_JSON: &str = "malformed JSON";
+const NO_JSON: &str = "malformed JSON";
 
 /// Whether a file of the database could not be opened or written.
-pub(super) fn is_not_opened(source: &sqlx::Error) -> bool {
+pub(crate) fn is_not_opened(source: &sqlx::Error) -> bool {
     matches!(code(source), Some(8 | 14))
 }
 

@@ -8,40 +8,52 @@ use sqlx::sqlite::SqliteConnection;
 
 type Arguments = *mut *mut ffi::sqlite3_value;
 type Function = unsafe extern "C" fn(*mut ffi::sqlite3_context, c_int, Arguments);
+/// Name, number of arguments and code of a scalar function.
+pub(crate) type Scalar = (&'static CStr, c_int, Function);
 
-const SCALARS: [(&CStr, c_int, Function); 4] =
-    [(c"exp", 1, exp), (c"ln", 1, ln), (c"pow", 2, pow), (c"sqrt", 1, sqrt)];
+const SCALARS: [Scalar; 4] = [(c"exp", 1, exp), (c"ln", 1, ln), (c"pow", 2, pow), (c"sqrt", 1, sqrt)];
 const AGGREGATES: [(&CStr, c_int); 2] = [(c"median", 1), (c"percentile", 2)];
 
 /// Registers the functions on a connection.
-pub(super) async fn register(connection: &mut SqliteConnection) -> sqlx::Result<()> {
+pub(crate) async fn register(connection: &mut SqliteConnection) -> sqlx::Result<()> {
+    add(connection, &SCALARS, &AGGREGATES).await
+}
+
+/// Registers the function `blake3(X)` on a connection.
+pub(crate) async fn add_blake3(connection: &mut SqliteConnection) -> sqlx::Result<()> {
+    add(connection, &[(c"blake3", 1, hash)], &[]).await
+}
+
+/// Registers scalar functions, and aggregates that `step` and `end` compute.
+pub(crate) async fn add(
+    connection: &mut SqliteConnection,
+    scalars: &[Scalar],
+    aggregates: &[(&CStr, c_int)],
+) -> sqlx::Result<()> {
     let mut handle = connection.lock_handle().await?;
     let (db, data) = (handle.as_raw_handle().as_ptr(), std::ptr::null_mut());
     let flags = ffi::SQLITE_UTF8 | ffi::SQLITE_DETERMINISTIC;
-    for (name, arguments, function) in SCALARS {
-        // SAFETY: the handle is locked and open; the function has no data of its own.
-        unsafe {
-            ffi::sqlite3_create_function_v2(
-                db,
-                name.as_ptr(),
-                arguments,
-                flags,
-                data,
-                Some(function),
-                None,
-                None,
-                None,
-            );
-        }
-    }
-    for (name, arguments) in AGGREGATES {
-        // SAFETY: likewise.
-        unsafe {
-            let (name, step, end) = (name.as_ptr(), Some(step as Function), Some(end as _));
-            ffi::sqlite3_create_function_v2(db, name, arguments, flags, data, None, step, end, None);
-        }
+    let scalars = scalars.iter().map(|(name, count, function)| (*name, *count, Some(*function), None, None));
+    let aggregates =
+        aggregates.iter().map(|(name, n)| (*name, *n, None, Some(step as Function), Some(end as _)));
+    for (name, arguments, scalar, step, end) in scalars.chain(aggregates) {
+        let name = name.as_ptr();
+        // SAFETY: the handle is locked and open; the functions have no data of their own.
+        unsafe { ffi::sqlite3_create_function_v2(db, name, arguments, flags, data, scalar, step, end, None) };
     }
     Ok(())
+}
+
+/// The BLAKE3 hash of a text or blob.
+unsafe extern "C" fn hash(context: *mut ffi::sqlite3_context, _: c_int, values: Arguments) {
+    // SAFETY: there is one argument; its bytes are valid until the function returns, and SQLite copies the result.
+    unsafe {
+        let bytes = ffi::sqlite3_value_blob(*values);
+        let length = ffi::sqlite3_value_bytes(*values) as usize;
+        let bytes = if length == 0 { &[][..] } else { std::slice::from_raw_parts(bytes.cast(), length) };
+        let hash = blake3::hash(bytes);
+        ffi::sqlite3_result_blob(context, hash.as_bytes().as_ptr().cast(), 32, ffi::SQLITE_TRANSIENT());
+    }
 }
 
 /// An argument as a number; `None` if it is not one.

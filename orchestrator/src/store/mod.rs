@@ -1,12 +1,9 @@
-//! The store: one SQLite file per database, one writer, any number of readers.
+//! The store: one SQLite file per database, one writer, any number of readers (`reader`).
 //!
 //! In WAL mode with `synchronous = FULL`, data is on disk when a method returns, and survives `kill -9` and power loss. Each
 //! transaction costs one fsync; `begin_batch` … `commit_batch` shares it among many records. A file lock excludes a second
 //! writer while a `Store` exists. All methods fail if SQLite does; their documentation lists other errors.
 
-mod allow;
-mod confined;
-mod connect;
 mod designs;
 mod digest;
 mod disk;
@@ -14,15 +11,10 @@ mod error;
 mod functions;
 mod lock;
 mod log;
-mod looks;
-mod made;
-mod npy;
 mod presence;
 mod prior;
-mod read;
 mod redo;
 mod runs;
-mod stored;
 mod sweep;
 mod wait;
 mod write;
@@ -37,26 +29,20 @@ use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
-pub use confined::Limits;
-pub use connect::ask_unchanging;
-pub(crate) use connect::{copy_with_journal, state_of};
-pub(crate) use digest::{add_function, check};
-use error::OPENING;
+pub(crate) use designs::NAME as KEPT_DESIGNS;
+pub(crate) use digest::check;
 pub use error::StoreError;
-pub(crate) use error::is_shortage;
+pub(crate) use error::{OPENING, is_no_json, is_not_opened, is_shortage, is_trouble};
+pub(crate) use functions::{Scalar, add, add_blake3, register};
 pub(crate) use lock::{has_journal, is_still, lock, resolve_links, sidecar};
 pub use log::Level;
-pub use looks::TrialProgress;
-pub use made::{CodeVersion, Nearest};
-pub use npy::{npy_bytes, npy_values};
+pub use metasense_worker::files::{npy_bytes, npy_values};
 pub use presence::{FileLoss, Presence};
 pub use prior::PriorProgress;
-pub use read::{Artifact, QueryResult, Reader, Row, quoted};
 pub use runs::{RunKey, RunPlan};
-pub use stored::StoredTrial;
 pub use wait::{hurry, wait_for_locks};
 pub use write::Array;
-pub(crate) use write::RELEASE_ORPHANS;
+pub(crate) use write::{RELEASE_ORPHANS, read_checkpoint};
 
 /// The writer. Cancelling a call leaves it in an undefined state: then drop the store.
 #[derive(Debug)]
@@ -97,7 +83,7 @@ impl Store {
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         wait::wait_on(&mut connection).await.map_err(at)?;
-        functions::register(&mut connection).await.map_err(at)?;
+        register(&mut connection).await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;

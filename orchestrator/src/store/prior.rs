@@ -5,9 +5,7 @@ use std::collections::HashMap;
 use metasense_schemas::record::Checkpoint;
 use sqlx::AssertSqlSafe;
 
-use super::digest::check;
-use super::write::read_checkpoint;
-use super::{Level, Store, StoreError, npy_values};
+use super::{Level, Store, StoreError, check, npy_values, read_checkpoint};
 
 /// Progress of a trial in earlier runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -36,7 +36,7 @@ pub(crate) const RELEASE_ORPHANS: &str = "
     UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';";
 
 /// Decodes a trial's checkpoint and verifies its checksum.
-pub(super) fn read_checkpoint(
+pub(crate) fn read_checkpoint(
     hash: &str,
     (bytes, checksum): (Vec<u8>, Option<Vec<u8>>),
 ) -> Result<Checkpoint, StoreError> {

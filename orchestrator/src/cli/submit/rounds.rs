@@ -21,9 +21,10 @@ use crate::cluster::{Assignment, ranges};
 use crate::engine::{RerunPolicy, Signals};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
+use crate::reader::Reader;
 use crate::rounds::{self, Runs};
 use crate::scheduler::Outcome;
-use crate::store::{Reader, Store};
+use crate::store::Store;
 
 /// Time between two queries of a queue.
 const LOOK: Duration = Duration::from_secs(5);

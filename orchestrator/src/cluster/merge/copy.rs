@@ -27,7 +27,7 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
         .pragma("temp_store", "FILE")
         .connect()
         .await?;
-    store::add_function(&mut out).await?;
+    store::add_blake3(&mut out).await?;
     let version = store::version(&mut out).await? as usize;
     store::add_schema(&mut out, version).await?;
     out.execute(

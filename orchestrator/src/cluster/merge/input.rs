@@ -74,7 +74,7 @@ impl Input {
             snapshot(&file, copy, false, || true).await?;
             (path, state) = (copy.to_owned(), None);
         } else if store::has_journal(&file) {
-            match store::copy_with_journal(&file, copy) {
+            match crate::reader::copy_with_journal(&file, copy) {
                 // a run has started since
                 Err(StoreError::InUse { .. }) => return Err(InputError::Changed),
                 copied => copied?,
@@ -83,7 +83,7 @@ impl Input {
             (path, state) = (copy.to_owned(), None);
         }
         let version =
-            store::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
+            crate::reader::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
         let version = version.map_err(|source| StoreError::sql(&file, "opening", source)).and_then(|v| v)?;
         if version == 0 {
             if path != copy {
@@ -116,7 +116,7 @@ impl Input {
 
 /// Current state of a file.
 fn state_of(file: &File) -> io::Result<String> {
-    file.metadata().map(|m| store::state_of(&m))
+    file.metadata().map(|m| crate::reader::state_of(&m))
 }
 
 /// Whether a file (real path) has the given state and no log.

@@ -218,7 +218,7 @@ async fn merge_in(
         }
     }
     if summary.known > 0 && inputs.iter().all(|input| input.file == out) {
-        let asked = store::ask_unchanging(out, async |db| {
+        let asked = crate::reader::ask_unchanging(out, async |db| {
             Ok((copy::trials(db).await?, compare::missing_shards(db).await?))
         });
         (summary.trials, summary.missing) =
@@ -290,7 +290,8 @@ async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> 
 /// Checks that the existing result can be merged with, after moving the log of a killed run into it.
 async fn check_result(out: &Path) -> Result<(), StoreError> {
     input::checkpoint_log(out, false).await?;
-    let version = store::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
+    let version =
+        crate::reader::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
     version.map_err(|source| StoreError::sql(out, "reading", source))?.map(|_| ())
 }
 
@@ -382,7 +383,7 @@ type SourceStates = HashMap<PathBuf, String>;
 /// The extents of a result, as in [`copy::extents`], and its files.
 async fn read_sources(out: &Path) -> sqlx::Result<([bool; 2], SourceStates)> {
     let sql = "SELECT file, state FROM source WHERE state IS NOT NULL";
-    store::ask_unchanging(out, async |db| {
+    crate::reader::ask_unchanging(out, async |db| {
         if store::version(db).await? < MERGED {
             return Ok(([false, out.metadata()?.len() > 0], SourceStates::new()));
         }

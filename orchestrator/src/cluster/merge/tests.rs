@@ -23,7 +23,7 @@ async fn until_the_new_file_is_in_place_nothing_of_the_old_one_is_gone() {
     let lock = store::lock(&out, false).unwrap();
     assert!(put_in_place(&built, &out, &lock).await.is_err());
     drop(lock);
-    let mut reader = crate::store::Reader::open(&out).await.unwrap();
+    let mut reader = crate::reader::Reader::open(&out).await.unwrap();
     let rows = reader.query::<crate::look::Table>("SELECT count(*) FROM v_trial").await.unwrap().rows;
     assert_eq!(rows[0][0], 2);
 }

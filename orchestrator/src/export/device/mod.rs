@@ -13,7 +13,8 @@ use metasense_lab::replay::{
 
 use super::{Fit, unreadable};
 use crate::analysis::Body;
-use crate::store::{StoreError, StoredTrial};
+use crate::reader::StoredTrial;
+use crate::store::StoreError;
 
 /// Number of held-out samples in the file's test.
 const TESTED: usize = 2;

@@ -14,10 +14,10 @@ use crate::analysis::setting::flatten;
 use crate::look::short_hash;
 use crate::look::{Figure, Table, legend, number, row};
 use crate::plan::counted;
+use crate::reader::Reader;
 use crate::report::body;
 use crate::report::load::finished_trials;
 use crate::serve::{PageError, file_of};
-use crate::store::Reader;
 
 pub async fn page(
     State(served): State<Arc<ServerState>>,

@@ -13,8 +13,8 @@ use serde_json::Value;
 
 use super::{ServerState, framed, query, trial_links};
 use crate::look::{Axis, Format, Plot, Scale, Table, lines, prose};
+use crate::reader::{Limits, Reader};
 use crate::serve::{PageError, file_of};
-use crate::store::{Limits, Reader};
 
 /// Limits of an answer on a page, and in a file.
 const PAGE: Limits = Limits { rows: 1000, bytes: 2 << 20, time: Duration::from_secs(5) };

@@ -18,12 +18,13 @@ use crate::look::wave::course;
 use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, readable};
 use crate::plan::counted;
 use crate::provenance;
+use crate::reader::{Reader, StoredTrial, quoted};
 use crate::report::body::{self, sketch};
 use crate::report::load::PARTS;
 use crate::report::samples::Replayed;
 use crate::serve::steer::of_trial;
 use crate::serve::{DatabaseState, PageError, source};
-use crate::store::{Reader, StoreError, StoredTrial, quoted};
+use crate::store::StoreError;
 
 /// Stored data of a trial.
 #[derive(Debug)]

@@ -1,5 +1,6 @@
 use super::*;
-use crate::store::{Reader, Store};
+use crate::reader::Reader;
+use crate::store::Store;
 use std::fs;
 
 const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\n\
@@ -9,7 +10,7 @@ const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\
 /// The number of trials in a file; `None` if it cannot be read.
 async fn trials(db: &Path) -> Option<u64> {
     let mut reader = Reader::open(db).await.ok()?;
-    let found: crate::store::QueryResult = reader.query("SELECT count(*) FROM v_trial").await.ok()?;
+    let found: crate::reader::QueryResult = reader.query("SELECT count(*) FROM v_trial").await.ok()?;
     reader.close().await;
     found.1[0][0].as_u64()
 }

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, HashMap};
 
 use metasense_worker::FAILED;
 
-use super::{Reader, StoreError, quoted};
+use super::{Reader, quoted};
+use crate::store::StoreError;
 
 /// Errors at an outer step.
 #[derive(Debug, Clone, Copy, PartialEq)]

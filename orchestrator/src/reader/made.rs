@@ -6,7 +6,8 @@ use metasense_schemas::spec::flatten;
 use metasense_worker::run::keeps_error;
 use serde_json::Value;
 
-use super::{Reader, StoreError};
+use super::Reader;
+use crate::store::StoreError;
 
 /// Trials computed by one code version, or by the same sequence of versions.
 #[derive(Debug, Clone, PartialEq, Eq)]

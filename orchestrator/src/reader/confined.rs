@@ -1,14 +1,14 @@
 //! Queries by untrusted users: they can read only the database's own rows, within limits.
 
-use std::ffi::{CStr, c_int};
+use std::ffi::c_int;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use libsqlite3_sys as ffi;
 
 use super::allow::{AccessLevel, allow};
-use super::read::QueryResult;
-use super::{OPENING, Reader, StoreError, resolve_links};
+use super::{QueryResult, Reader};
+use crate::store::{OPENING, Scalar, StoreError, add, resolve_links};
 
 /// Limits of an answer.
 #[derive(Debug, Clone, Copy)]
@@ -27,7 +27,13 @@ const LONGEST: c_int = 256 << 10;
 /// Longest pattern of LIKE and GLOB (bytes).
 const PATTERN: c_int = 500;
 /// Functions of two arguments whose run time grows as the product of their lengths.
-const SLOW: [&CStr; 5] = [c"trim", c"ltrim", c"rtrim", c"json_patch", c"jsonb_patch"];
+const SLOW: [Scalar; 5] = [
+    (c"trim", 2, refuse),
+    (c"ltrim", 2, refuse),
+    (c"rtrim", 2, refuse),
+    (c"json_patch", 2, refuse),
+    (c"jsonb_patch", 2, refuse),
+];
 /// Rows buffered between SQLite and the reader.
 const ROWS_AHEAD: usize = 4;
 /// SQLite operations between two checks of the time limit. Each may call a function.
@@ -45,26 +51,13 @@ impl Reader {
         let mut reader = Self::open_file(path.clone(), Some(ROWS_AHEAD)).await?;
         reader.allowed = AccessLevel::Confined;
         allow(&mut reader.connected.connection, reader.allowed).await.map_err(at)?;
+        add(&mut reader.connected.connection, &SLOW, &[]).await.map_err(at)?;
         let mut handle = reader.connected.connection.lock_handle().await.map_err(at)?;
         let db = handle.as_raw_handle().as_ptr();
-        // SAFETY: the handle is locked and open; the callback has no data of its own, and no call keeps anything of ours.
+        // SAFETY: the handle is locked and open.
         unsafe {
             ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_LENGTH, LONGEST);
             ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_LIKE_PATTERN_LENGTH, PATTERN);
-            for name in SLOW {
-                let data = std::ptr::null_mut();
-                ffi::sqlite3_create_function_v2(
-                    db,
-                    name.as_ptr(),
-                    2,
-                    ffi::SQLITE_UTF8,
-                    data,
-                    Some(refuse),
-                    None,
-                    None,
-                    None,
-                );
-            }
         }
         drop(handle);
         Ok(reader)

@@ -10,11 +10,11 @@ use sqlx::{ConnectOptions, Connection, Executor};
 use tempfile::TempDir;
 
 use super::allow::{AccessLevel, allow};
-use super::error::is_not_opened;
-use super::functions;
-use super::{OPENING, StoreError, check_version, has_journal, is_still, options, sidecar};
 use crate::files;
 use crate::leftovers;
+use crate::store::{
+    OPENING, StoreError, check_version, has_journal, is_not_opened, is_still, options, register, sidecar,
+};
 
 /// A read-only connection and what it reads.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connecte
     if check_version(&mut found.connection, path).await? == 0 {
         return Err(StoreError::NotOurs { path: path.to_owned() });
     }
-    functions::register(&mut found.connection).await.map_err(at)?;
+    register(&mut found.connection).await.map_err(at)?;
     allow(&mut found.connection, AccessLevel::Reading).await.map_err(at)?;
     Ok(found)
 }

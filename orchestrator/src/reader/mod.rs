@@ -1,7 +1,14 @@
-//! Read-only queries of a database, also while a run writes to it.
+//! Read-only queries of a database for commands, reports and pages, also while a run writes to it. A run does not need them.
 //!
 //! A read-only connection creates missing journal files, but cannot remove them. `close` does, unless another process uses the
 //! database.
+
+mod allow;
+mod confined;
+mod connect;
+mod looks;
+mod made;
+mod stored;
 
 use std::path::{Path, PathBuf};
 
@@ -13,15 +20,21 @@ use sqlx::{
     ValueRef,
 };
 
-use super::allow::{self, AccessLevel, NOT_READING, TYPES_VIEW, allow};
-use super::connect::{Connected, connect, state};
-use super::digest::check;
-use super::error::{is_no_json, is_trouble};
-use super::write::read_checkpoint;
-use super::{StoreError, has_journal, lock, npy_values, options, resolve_links, sidecar};
 use crate::cell;
+use crate::store::{
+    StoreError, check, has_journal, is_no_json, is_trouble, lock, npy_values, options, read_checkpoint,
+    resolve_links, sidecar,
+};
+use allow::{AccessLevel, NOT_READING, TYPES_VIEW, allow};
+pub use confined::Limits;
+pub use connect::ask_unchanging;
+use connect::{Connected, connect, state};
+pub(crate) use connect::{copy_with_journal, state_of};
+pub use looks::TrialProgress;
+pub use made::{CodeVersion, Nearest};
 use metasense_schemas::record::Checkpoint;
 use metasense_source::position_of;
+pub use stored::StoredTrial;
 
 /// A complete answer: column names, and rows; blobs are replaced by the text `blob of N bytes`.
 pub type QueryResult = (Vec<String>, Vec<Vec<Value>>);

@@ -2,7 +2,8 @@
 
 use metasense_schemas::spec::TrialSpec;
 
-use super::{Reader, StoreError, quoted};
+use super::{Reader, quoted};
+use crate::store::{KEPT_DESIGNS, StoreError};
 
 /// Designs and weights of a trial's two bodies, `[initial, optimised]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,5 +84,20 @@ impl Reader {
             }
         }
         Ok(Some(StoredTrial { hash, specs, designs, weights, losses, solver, bands, drawings }))
+    }
+
+    /// Kept designs of a trial: number of outer steps, and α (mm, 32-bit precision).
+    ///
+    /// # Errors
+    /// If SQLite fails or an array cannot be read.
+    pub async fn designs_of(&mut self, hash: &str) -> Result<Vec<(u32, Vec<f64>)>, StoreError> {
+        let mut designs = Vec::new();
+        for array in self.arrays_of(hash).await? {
+            if let Some(step) = array.name.strip_prefix(KEPT_DESIGNS).and_then(|step| step.parse().ok()) {
+                designs.push((step, array.values::<f32>()?.into_iter().map(f64::from).collect()));
+            }
+        }
+        designs.sort_by_key(|design: &(u32, Vec<f64>)| design.0);
+        Ok(designs)
     }
 }
