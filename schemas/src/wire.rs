@@ -11,6 +11,7 @@ use iceoryx2::port::listener::ListenerWaitError;
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::reason::Reason;
 use crate::record::{Checkpoint, StepRecord, TrialResult};
 
 /// The iceoryx2 service variant: its ports may move between threads.
@@ -69,94 +70,6 @@ pub enum ToWorker {
     },
 }
 
-/// Declares the failures of a trial with their names in records.
-macro_rules! causes {
-    ($(#[$about:meta])* $Cause:ident: $($(#[$doc:meta])* $cause:ident = $name:literal,)*) => {
-        $(#[$about])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-        pub enum $Cause {
-            $($(#[$doc])* $cause,)*
-        }
-
-        impl $Cause {
-            /// All of them.
-            pub const ALL: &[Self] = &[$(Self::$cause),*];
-
-            /// Name in the database.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Self::$cause => $name,)*
-                }
-            }
-        }
-    };
-}
-
-causes! {
-    /// A numerical failure that ends a trial.
-    Cause:
-    /// A sample exceeded the limit of integrator steps.
-    StepLimit = "step_limit",
-    /// Integrator steps fell below the resolution of the clock.
-    StepTooSmall = "step_too_small",
-    /// A state was not finite. Older databases have this name for every other cause, too.
-    NonFinite = "non_finite",
-    /// Void angles fell below `contact.min_angle`.
-    ForbiddenContact = "forbidden_contact",
-    /// The energy balance failed: steps were too long for the highest mode.
-    Unstable = "unstable",
-    /// The body lost its stability while `body.compression` moved its held units.
-    Buckled = "buckled",
-    /// The body has no equilibrium under `body.compression`.
-    NoEquilibrium = "no_equilibrium",
-    /// All outputs of a hidden layer are 0.
-    DeadLayer = "dead_layer",
-    /// The training loss grew without bound.
-    Diverged = "diverged",
-    /// The training loss was not a finite number.
-    LossNonFinite = "loss_non_finite",
-    /// The training loss rose far above its trend.
-    LossJump = "loss_jump",
-    /// The gradient in the design was not finite.
-    GradientNonFinite = "gradient_non_finite",
-    /// The normal matrix of the linear decoder has no Cholesky factor.
-    Singular = "singular",
-    /// Too few candidate units are far enough apart for the sensors.
-    NowhereToSense = "nowhere_to_sense",
-    /// Most readings of the initial body are at the limit of the sensors' range.
-    Saturated = "saturated",
-}
-
-causes! {
-    /// How the process of an external body ends a trial.
-    BodyFault:
-    /// It ended, or could not be started.
-    Died = "body_died",
-    /// It took longer than `body.time_limit`.
-    TimeLimit = "body_time_limit",
-    /// It reported an error, or its answer has another form or shape than asked for.
-    Invalid = "body_invalid",
-    /// It returned other values when called again.
-    NotRepeatable = "body_not_repeatable",
-    /// It describes another body than when the trial was planned.
-    Changed = "body_changed",
-}
-
-/// Why an attempt failed, as the worker reports it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Trouble {
-    /// A numerical failure.
-    Numerical(Cause),
-    /// The process of an external body failed.
-    Body(BodyFault),
-    /// Validation rejected the trial.
-    Rejected,
-    /// A bug: the computation panicked.
-    Panicked,
-    /// The machine lacks threads, file descriptors, memory or disk space.
-    Shortage,
-}
-
 /// Message to the orchestrator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ToOrchestrator {
@@ -196,8 +109,8 @@ pub enum ToOrchestrator {
     Failed {
         /// The attempt.
         lease: Lease,
-        /// The kind of reason.
-        trouble: Trouble,
+        /// The reason.
+        reason: Reason,
         /// Description.
         detail: String,
     },

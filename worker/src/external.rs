@@ -17,8 +17,8 @@ use metasense_numerics::feasible::{Castable, LinearLimits, LinearRow, Projection
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::trial::{Body, Fault, Motion, Pilot, Problem, Run, Tape};
 use metasense_numerics::{Heartbeat, Pool};
+use metasense_schemas::reason::BodyFault;
 use metasense_schemas::spec::{self, Description};
-use metasense_schemas::wire::BodyFault;
 use serde_json::{Value, json};
 
 mod process;

@@ -11,11 +11,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use metasense_numerics::Heartbeat;
+use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
     self, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services, Sleeper,
-    Start, ToOrchestrator, ToWorker, Trouble, Waker,
+    Start, ToOrchestrator, ToWorker, Waker,
 };
 use rustix::process;
 
@@ -256,22 +257,22 @@ impl Worker {
         if let Some(error) = reporter.link_error {
             return Err(error);
         }
-        let failed = |trouble, detail: String| ToOrchestrator::Failed { lease, trouble, detail };
+        let failed = |reason, detail: String| ToOrchestrator::Failed { lease, reason, detail };
         let message = match ended {
             Ok(Ok(result)) => self.finished(lease, result)?,
             Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped { lease },
-            Ok(Err(Failure::Shortage(detail))) => failed(Trouble::Shortage, detail),
+            Ok(Err(Failure::Shortage(detail))) => failed(Reason::Shortage, detail),
             Ok(Err(Failure::Rejected(detail))) if tells_of_shortage(&detail) => {
-                failed(Trouble::Shortage, explained(&detail, &Needs::default()))
+                failed(Reason::Shortage, explained(&detail, &Needs::default()))
             }
-            Ok(Err(Failure::Rejected(detail))) => failed(Trouble::Rejected, detail),
-            Ok(Err(Failure::Body { fault, detail })) => failed(Trouble::Body(fault), detail),
-            Ok(Err(Failure::Numerical { cause, detail })) => failed(Trouble::Numerical(cause), detail),
+            Ok(Err(Failure::Rejected(detail))) => failed(Reason::Rejected, detail),
+            Ok(Err(Failure::Body { fault, detail })) => failed(Reason::Body(fault), detail),
+            Ok(Err(Failure::Numerical { cause, detail })) => failed(Reason::Numerical(cause), detail),
             Err(panic) => {
                 let text = panic.downcast_ref::<&str>().map(ToString::to_string);
                 let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-                let trouble = if tells_of_shortage(&text) { Trouble::Shortage } else { Trouble::Panicked };
-                failed(trouble, text)
+                let reason = if tells_of_shortage(&text) { Reason::Shortage } else { Reason::Panicked };
+                failed(reason, text)
             }
         };
         self.send(&message)

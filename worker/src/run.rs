@@ -6,9 +6,9 @@ use metasense_numerics::nested::{self, Optimised, State};
 pub use metasense_numerics::nested::{Control, keeps_error};
 use metasense_numerics::place::{self, Placed};
 use metasense_numerics::trial::{self, Body, Trial};
+use metasense_schemas::reason::{BodyFault, Cause};
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
-use metasense_schemas::wire::{BodyFault, Cause};
 
 use crate::clock::cpu_seconds;
 use crate::convert;

@@ -490,8 +490,7 @@ impl Engine<'_> {
                 }
                 Event::Finished(worker, lease, (result, arrays))
             }
-            ToOrchestrator::Failed { lease, trouble, detail } => {
-                let reason = Reason::from(trouble);
+            ToOrchestrator::Failed { lease, reason, detail } => {
                 let trial = self.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
                 tracing::error!(trial, lease.attempt, %reason, detail, "the worker reported a failure of the trial");
                 self.details.insert(lease, detail);

@@ -421,7 +421,11 @@ impl World {
             if self.dice.percent(self.chance_of_trouble) {
                 return self.say(
                     when,
-                    Event::Failed(worker, lease, Reason::Numerical(metasense_schemas::wire::Cause::Unstable)),
+                    Event::Failed(
+                        worker,
+                        lease,
+                        Reason::Numerical(metasense_schemas::reason::Cause::Unstable),
+                    ),
                 );
             }
             if self.dice.percent(self.chance_of_shortage) {

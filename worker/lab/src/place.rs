@@ -2,9 +2,9 @@
 
 use metasense_numerics::place::Candidates;
 use metasense_numerics::trial::Placing;
+use metasense_schemas::reason::Cause;
 use metasense_schemas::record::Placed;
 use metasense_schemas::spec::{self, TrialSpec};
-use metasense_schemas::wire::Cause;
 use metasense_worker::convert;
 use metasense_worker::run::{Failure, pool};
 

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 use metasense_numerics::Heartbeat;
 use metasense_numerics::trial::Fault;
+use metasense_schemas::reason::BodyFault;
 use metasense_schemas::spec::Description;
-use metasense_schemas::wire::BodyFault;
 use rustix::fs::{MemfdFlags, memfd_create};
 use serde_json::{Value, json};
 

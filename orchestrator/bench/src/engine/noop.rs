@@ -4,8 +4,8 @@
 use std::time::{Duration, Instant};
 
 use metasense_numerics::Heartbeat;
+use metasense_schemas::reason::Cause;
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
-use metasense_schemas::wire::Cause;
 use metasense_worker::run::{Control, Failure, Observe};
 use serde::{Deserialize, Serialize};
 
