@@ -70,7 +70,6 @@ impl TrialSpec {
     /// density of a material, not the material; of an external body its description, whose digest covers the source.
     #[must_use]
     pub fn hash(&self) -> String {
-        let mut text = String::with_capacity(2048);
         let mut value = serde_json::to_value(self).expect("a trial is JSON");
         if let Some(recorded) = value.pointer_mut("/stimuli/recorded").and_then(|r| r.as_object_mut()) {
             recorded.remove("files");
@@ -80,8 +79,7 @@ impl TrialSpec {
                 body.remove(key);
             }
         }
-        write_canonical(&value, &mut text);
-        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+        digest(value)
     }
 
     /// Returns a hash (32 hex digits) of the settings that determine the training of the body. Trials that share it train
@@ -94,11 +92,8 @@ impl TrialSpec {
     /// Returns a hash (32 hex digits) of a body of this trial with this design and its sensors.
     #[must_use]
     pub fn body_digest(&self, design: &[f64]) -> String {
-        let mut text = String::with_capacity(2048);
         let body = Body { material: None, command: Vec::new(), time_limit: None, ..self.body.clone() };
-        let value = serde_json::json!([body, self.sensor_units, design]);
-        write_canonical(&value, &mut text);
-        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+        digest(serde_json::json!([body, self.sensor_units, design]))
     }
 }
 
@@ -130,39 +125,18 @@ impl Training {
     pub fn at(&self, trial: &TrialSpec) -> String {
         let Point { placement, seed, .. } = trial.point;
         let text = format!("{} {placement} {seed} {:?}", self.0, trial.sensor_units);
-        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+        digest_of_text(&text)
     }
 }
 
-/// Appends JSON with sorted keys, whatever the order of the map type.
-fn write_canonical(value: &serde_json::Value, text: &mut String) {
-    match value {
-        serde_json::Value::Object(map) => {
-            let mut entries: Vec<_> = map.iter().collect();
-            entries.sort_unstable_by_key(|(key, _)| *key);
-            text.push('{');
-            for (i, (key, value)) in entries.into_iter().enumerate() {
-                if i > 0 {
-                    text.push(',');
-                }
-                *text += &serde_json::Value::from(key.as_str()).to_string();
-                text.push(':');
-                write_canonical(value, text);
-            }
-            text.push('}');
-        }
-        serde_json::Value::Array(values) => {
-            text.push('[');
-            for (i, value) in values.iter().enumerate() {
-                if i > 0 {
-                    text.push(',');
-                }
-                write_canonical(value, text);
-            }
-            text.push(']');
-        }
-        scalar => *text += &scalar.to_string(),
-    }
+/// Returns 32 hex digits of BLAKE3 over JSON with sorted keys and no spaces.
+fn digest(mut value: Value) -> String {
+    value.sort_all_objects();
+    digest_of_text(&value.to_string())
+}
+
+fn digest_of_text(text: &str) -> String {
+    blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
 }
 
 /// Returns the leaves of a JSON object by path.
