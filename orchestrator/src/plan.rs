@@ -16,8 +16,8 @@ use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::spec::{
-    Body, BodyKind, Design, Disturbance, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
-    SweepSpec, Training, TrialSpec,
+    Body, BodyKind, Design, Disturbance, Lattice, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors,
+    Stimuli, SweepSpec, Training, TrialSpec,
 };
 use metasense_source::{HashError, Source, SpecError, position_of};
 use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
@@ -404,7 +404,7 @@ fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> 
         ("body.ligament_length", body.ligament_length.is_some()),
         ("body.width", body.width.is_some()),
         ("body.diameter", body.diameter.is_some()),
-        ("body.lattice", !body.lattice.is_square()),
+        ("body.lattice", body.lattice != Lattice::Square),
         ("body.layout", body.layout != LayoutKind::Planar),
         ("optimise.tie", spec.optimise.tie.is_some()),
     ];

@@ -2,15 +2,18 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 use super::external::{BodyKind, Description};
+use super::is_default;
 
 /// The layout of a body's units.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LayoutKind {
     /// `rows` rows of `columns` units, or the body of `file`. Forces act downwards on the topmost units; the lowest units are
     /// held.
+    #[default]
     Planar,
     /// The units whose centres lie in a disc of `columns` spacings in diameter. The centre is a unit for odd `columns` and a void
     /// for even `columns`.
@@ -33,12 +36,6 @@ pub enum Lattice {
 }
 
 impl Lattice {
-    /// Whether this is the default, which is not written.
-    #[must_use]
-    pub fn is_square(&self) -> bool {
-        *self == Self::Square
-    }
-
     /// Whether the initial angle belongs to the design (units counter-rotate) and not to the lattice.
     #[must_use]
     pub fn turns(&self) -> bool {
@@ -57,6 +54,7 @@ pub enum Own {
 }
 
 /// Polygons and ligaments of a body.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Polygons {
@@ -79,14 +77,12 @@ pub struct Polygons {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub density: Vec<Denser>,
     /// Units that are held if `body.clamp` is omitted; `[]`: none. Default: the lowest.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Vec<usize>>,
     /// Where forces act, if `body.panels` and `body.panel_units` are omitted; trials with K panels use the first K. Default: the
     /// topmost units.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
     /// Units that may carry sensors. Default: those whose nodes all have ligaments.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<Vec<usize>>,
 }
 
@@ -125,29 +121,24 @@ pub enum FollowBy {
 }
 
 /// Where a force acts, and how.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Struck {
     /// The unit. Default: with `base`, all held units; otherwise it must be given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<usize>,
     /// Direction of the force. Default: down, on a circular body inward.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 2]>,
     /// Node of the unit on which the force acts; it follows the design. Default: the unit's centroid.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node: Option<usize>,
     /// Offset of the point of action from the node or centroid. Unit: mm. Default: `[0, 0]`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at: Option<[f64; 2]>,
     /// A couple instead of a force: the distance of two opposite forces. Positive values rotate the unit anticlockwise. Unit: mm.
     /// Default: no couple.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub couple: Option<f64>,
     /// A prescribed acceleration instead of a force: force divided by this mass, along the direction. It accelerates the base of
     /// the held units or, with `unit`, that unit alone, without rotation and regardless of its ligaments. Unit: Mg. Default: a
     /// force.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<f64>,
 }
 
@@ -236,46 +227,41 @@ impl Design {
 }
 
 /// Sizes and material of a body.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
     /// What simulates the body. Default: `"polygons"`.
-    #[serde(default, skip_serializing_if = "BodyKind::is_polygons")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub kind: BodyKind,
     /// Program and arguments of an external body. Files are relative to the spec. Default: must be given with `kind = "external"`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub command: Vec<String>,
     /// Longest time of one call of an external body. Unit: s. Default: 600.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_limit: Option<f64>,
     /// What the program of an external body answers, as a trial stores it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(skip)]
     pub description: Option<Description>,
     /// Arrangement of the units.
-    #[serde(default = "planar")]
+    #[serde(default)]
     pub layout: LayoutKind,
     /// Lattice of the units. Default: `"square"`.
-    #[serde(default, skip_serializing_if = "Lattice::is_square")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub lattice: Lattice,
     /// A body of arbitrary polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<Own>,
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Clamp>,
     /// Units with some coordinates held, as on a roller or in a slot: `[{ units = "sides", holds = ["x"] }]`. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub guides: Vec<Guide>,
     /// Compression along x and y before a sample, as a fraction of the distance between the outermost held units; negative:
     /// extension. The sample begins at rest in the compressed body. Unit: 1. Default: `[0, 0]`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compression: Option<[f64; 2]>,
     /// Whether ligaments use linearised strains. Displacements of nodes stay exact.
     #[serde(default)]
     pub linearised: bool,
     /// Units on whose centroids forces act. Default: by the rule in MODEL.md.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_units: Option<Vec<usize>>,
     /// Where and how forces act, instead of `panel_units`; trials with K panels use the first K: `[{ unit = 34, node = 1 }, {
     /// unit = 34, couple = 5 }]`. Default: `panel_units`.
@@ -283,36 +269,27 @@ pub struct Body {
     pub panels: Vec<Struck>,
     /// Angle by which all forces are rotated anticlockwise: from downwards on a planar body, from inward on a circular body.
     /// Unit: degrees. Default: 0.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_angle: Option<f64>,
     /// Units per row; diameter in spacings of a circular body. Default: must be given without `file`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<usize>,
     /// Rows of units; not for circular bodies. Default: must be given for a planar body.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
     /// Diameter of a circular body. If given, `spacing` becomes `diameter / columns`. Lengths of units, limits in mm and the
     /// design's learning rate scale in proportion, `stiffness.bend` with the square, as if the same sheet were divided more finely. Unit:
     /// mm. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter: Option<f64>,
     /// Width of a planar body along x, with the same effect as `diameter`. Unit: mm. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub width: Option<f64>,
     /// Distance between the centres of joined units. Unit: mm. Default: must be given without `file`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
     /// Length of a ligament at rest, for units that are not rotated. Unit: mm. Default: must be given without `file`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ligament_length: Option<f64>,
     /// Angle by which the units of the initial design are rotated. Unit: degrees.
     #[serde(default = "initial_angle")]
     pub initial_angle: f64,
     /// The design to start from. Default: rotated squares.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<Design>,
     /// Mass per area. Unit: Mg/mm². Default: must be given without `material`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
     /// Factor ζ of the dampers of each unit (formula in MODEL.md). It is not the modal damping ratio, which `metasense body modes`
     /// prints: slow modes have more damping. Unit: 1.
@@ -320,20 +297,16 @@ pub struct Body {
     pub damping_ratio: f64,
     /// Damping coefficients of every unit along x, along y and in rotation, instead of `damping_ratio`. Unit: N·s/mm, N·s/mm,
     /// N·mm·s. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damping: Option<[f64; 3]>,
     /// Design that sets the masses and moments of inertia of the units. Default: `"design"`.
-    #[serde(default, skip_serializing_if = "Inertia::is_own")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub inertia: Inertia,
     /// Stiffness of the ligaments. Default: must be given without `material`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
     /// Material and thickness; determine `density` and `stiffness` (formulas in MODEL.md). Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Contact between the edges of neighbouring units; without it units may pass through each other under strong forces. Default: no
     /// contact.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
 }
 
@@ -348,17 +321,6 @@ pub enum Inertia {
     Initial,
 }
 
-impl Inertia {
-    /// Whether this is the default, which is not written.
-    #[must_use]
-    pub fn is_own(&self) -> bool {
-        *self == Self::Design
-    }
-}
-
-fn planar() -> LayoutKind {
-    LayoutKind::Planar
-}
 fn initial_angle() -> f64 {
     25.0
 }
@@ -431,17 +393,15 @@ impl Rubber {
 }
 
 /// Material of the sheet.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Material {
     /// A commercial rubber: sets modulus and density if these keys are omitted. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rubber: Option<Rubber>,
     /// Young's modulus at small strain. Unit: MPa. Default: the rubber's (0.26 for Dragon Skin 10).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub modulus: Option<f64>,
     /// Mass per volume. Unit: Mg/mm³. Default: the rubber's (1.07e-9 for Dragon Skin 10).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
     /// Thickness of the sheet. Unit: mm.
     pub thickness: f64,

@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 /// What simulates a body.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -15,7 +16,7 @@ pub enum BodyKind {
 }
 
 impl BodyKind {
-    /// The one that is not written.
+    /// Whether metasense simulates the body.
     #[must_use]
     pub fn is_polygons(&self) -> bool {
         *self == Self::Polygons
@@ -23,6 +24,7 @@ impl BodyKind {
 }
 
 /// What the program of an external body computes.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Description {
@@ -35,10 +37,8 @@ pub struct Description {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub alpha: Vec<f64>,
     /// Least value of each number of the design. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub lower: Option<Vec<f64>>,
     /// Greatest value of each number of the design. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub upper: Option<Vec<f64>>,
     /// Linear constraints of the design. Default: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -50,10 +50,8 @@ pub struct Description {
     /// Names of the signals of each sensor, at most three. Specs and records call them `ax`, `ay`, `omega` in this order.
     pub channels: Vec<String>,
     /// The only `time.duration` that the program computes. Unit: s. Default: any.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub duration: Option<f64>,
     /// The only `time.samples` that the program computes. Default: any.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<usize>,
     /// Whether the program uses the tolerances of `solver` and `optimise.coarse`.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -70,15 +68,14 @@ pub struct Description {
 }
 
 /// A linear constraint: least ≤ Σ coefficient · number of the design ≤ most.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Constraint {
     /// Number of the design, from 0, and its coefficient.
     pub terms: Vec<(usize, f64)>,
     /// Least value of the sum. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub least: Option<f64>,
     /// Greatest value of the sum; equal to `least`: an equation. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub most: Option<f64>,
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 use super::{Decimal, Recorded, Separator, Signal, TimeUnit};
 
@@ -19,48 +20,38 @@ pub struct Measured {
 }
 
 /// Where the signals of measured records come from.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MeasuredSignals {
     /// Signal files, one per entry of `recorded.files`. Default: the same files.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub files: Option<Vec<PathBuf>>,
     /// Columns or arrays: a_x, a_y, ω of each sensor in turn (only the channels in `sensors.channels`), 3M in total; or one array
     /// of shape (samples, entries, 3M) or (samples, 3M, entries). A single record has no dimension of samples. Default: all that
     /// an NPY holds.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Signal>>,
     /// Clock of the signals, as a column or array. Default: `rate`; without either, the clock of the forces.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub time: Option<Signal>,
     /// Entries per second. Unit: 1/s. Default: `time`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
     /// As `recorded.header`, for `files`. Default: yes.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub header: Option<bool>,
     /// As `recorded.separator`, for `files`. Default: what divides all lines alike.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub separator: Option<Separator>,
     /// As `recorded.decimal`, for `files`. Default: the one that its numbers have.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub decimal: Option<Decimal>,
     /// Unit of `time`. Default: `recorded.time_unit`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub time_unit: Option<TimeUnit>,
     /// Time on the forces' clock at which the signals' clock is 0. Unit: s. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<Start>,
     /// Standard deviation of the unknown error of each record's `start`. `lab identify` fits these errors, up to three
     /// deviations. Unit: s. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub start_deviation: Option<f64>,
     /// Unit of accelerations.
     pub acceleration_unit: AccelerationUnit,
     /// Unit of angular velocities.
     pub angular_velocity_unit: AngularVelocityUnit,
     /// Factor per channel; −1 for an axis that points the other way. Unit: 1. Default: 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub factors: Option<Vec<f64>>,
 }
 

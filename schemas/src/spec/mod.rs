@@ -40,14 +40,15 @@ pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Var
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 /// A spec: a scene, its training, and the axes of a sweep.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SweepSpec {
     /// Another spec (TOML), by its path relative to this file. It supplies omitted keys: tables are merged key by key, any other
     /// value in this file replaces that of the base. The base may have a base. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<std::path::PathBuf>,
     /// Name of the sweep and of its database, `results/NAME.sqlite`.
     pub name: String,
@@ -66,7 +67,6 @@ pub struct SweepSpec {
     pub stimuli: Stimuli,
     /// Manufacturing variation, for training over casts (`optimise.objective`) and for evaluation on casts (`evaluation.casts`).
     /// Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variation: Option<Variation>,
     /// The decoder: the paper's network, a linear decoder, both stacked, or the body's model inverted.
     #[serde(default)]
@@ -83,10 +83,8 @@ pub struct SweepSpec {
     /// Swept values. Lists multiply: one trial per combination.
     pub sweep: Sweep,
     /// Questions that end the sweep once they are answered; without them every trial runs.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Until>,
     /// A requirement: `metasense design` searches the sweep for the cheapest design that meets it. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub goal: Option<Goal>,
     /// Processes and limits of the run. They do not change results and are not part of a trial's hash.
     #[serde(default)]
@@ -135,6 +133,11 @@ impl Sweep {
     }
 }
 
+/// Whether a value is the default of its type, which is not written.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
 fn one_placement() -> usize {
     1
 }
@@ -143,42 +146,33 @@ fn one_seed() -> Vec<u64> {
 }
 
 /// Limits of the run itself.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Run {
     /// Worker processes, at most 1024; each runs one trial at a time. Default: one per core.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub workers: Option<usize>,
     /// Threads of each worker, at most 1024. Default: 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
     /// Added to the niceness of the workers, 0 to 19. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub niceness: Option<u8>,
     /// Memory limit of each worker. A trial whose arrays need more is rejected before the run starts; a trial that exceeds it
     /// later fails with the reason `out_of_memory`. Without a limit, that is a shortage of the machine. Unit: MiB. Default: no
     /// limit.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<u64>,
     /// Number of retries of a trial whose worker died without completing a step. Also the number of consecutive restarts after a
     /// shortage of the machine, before the run ends and leaves trials pending. Default: 5.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub retries: Option<u32>,
     /// Wait before the first retry; doubled for each further retry, up to a minute. Unit: s. Default: 0.5.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub backoff: Option<f64>,
     /// Longest time without a report from a worker, which reports every second while it computes. Unit: s. Default: 600.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub no_progress: Option<f64>,
     /// How long a run waits while another program, for instance a backup, holds a lock on the database. Unit: s. Default: 300.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub lock_wait: Option<f64>,
     /// Longest time of one attempt at a trial. Unit: s. Default: no limit.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub time_limit: Option<f64>,
     /// Longest wait for steps in progress when the run is stopped. Workers that need longer are killed, and the next run repeats
     /// their steps. Shards are notified another 15 s before their time limit. Unit: s. Default: 10; in shards on Slurm and
     /// HyperQueue 45.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub grace: Option<f64>,
 }

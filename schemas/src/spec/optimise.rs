@@ -2,7 +2,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
+use super::is_default;
 use super::solver::{Method, Solver};
 use super::stimuli::{Part, Stimuli};
 
@@ -31,12 +33,6 @@ pub enum BrainKind {
     /// The body's model, inverted for the forces that explain the signals. The body is trained with the linear decoder or the
     /// network. Bands and the check of the model require noise above the integration error (`sensors.noise`).
     Inverse,
-}
-
-impl BrainKind {
-    fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
 }
 
 /// Quantity that a decoder estimates. Of a task other than `forces`, a sample has one label.
@@ -99,53 +95,41 @@ pub enum Scaling {
     MinMax,
 }
 
-impl Scaling {
-    fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
 /// The decoder of the final comparison and, unless `optimise.brain` differs, of the training.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Brain {
     /// Decoder of the final comparison. Default: `"cnn"`.
-    #[serde(skip_serializing_if = "BrainKind::is_default")]
+    #[serde(skip_serializing_if = "is_default")]
     pub kind: BrainKind,
     /// What the decoder estimates, and the body is trained for. Tasks other than `"forces"` need `kind = "linear"`: a ridge
     /// regression on the signals of the whole sample, whose leave-one-out error trains the body. The errors of such a trial are
     /// 100·(1 − R²). Default: `"forces"`.
-    #[serde(skip_serializing_if = "Task::is_forces")]
+    #[serde(skip_serializing_if = "is_default")]
     pub task: Task,
     /// Memory of a linear decoder, `[before, after]` an instant; `after = 0` suits a device that estimates without delay. An
     /// inverse decoder uses all earlier readings and this look-ahead; a `causal` stacked decoder uses all earlier readings and no
     /// look-ahead. Unit: s. Default: the whole sample.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<[f64; 2]>,
     /// Regularisation λ of a linear decoder (ridge). Default: `"auto"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ridge: Option<Ridge>,
     /// Full-batch Adam iterations per training of the network, at most 10 000 000.
     pub iterations: usize,
     /// Adam's learning rate for the network. Unit: 1.
     pub learning_rate: f64,
     /// Normalisation of the network's signals and forces. Default: `"rms"`.
-    #[serde(skip_serializing_if = "Scaling::is_default")]
+    #[serde(skip_serializing_if = "is_default")]
     pub scaling: Scaling,
     /// Named shape of the network; `width`, `kernels`, `dilations` and `causal` override parts of it. Default: `"paper"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
     /// Channels of every hidden layer; multiples of 16 run fastest. Default: 64.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<usize>,
     /// Kernel size of every layer, output layer last; odd unless `causal`. Default: `[3, 3, 1]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub kernels: Option<Vec<usize>>,
     /// Instants between the entries of a kernel, for every layer. Default: 1 each.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub dilations: Option<Vec<usize>>,
     /// Whether every layer uses earlier instants only, so that estimates need no look-ahead. Default: false.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub causal: Option<bool>,
 }
 
@@ -215,12 +199,13 @@ impl Default for Brain {
 }
 
 /// How body and decoder are trained together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
     /// The paper's: each outer step trains a fresh network and uses the direct and implicit gradient of its test loss.
     Paper,
     /// Body and network are trained together, on samples drawn for each step.
+    #[default]
     Joint,
     /// Search without gradient: each step evaluates a random body near the initial body.
     Random,
@@ -300,57 +285,45 @@ pub enum CastReader {
 }
 
 /// The outer loop over the design. Omitted keys have the default of the protocol.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[skip_serializing_none]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
     /// Decoder with which the body is trained: `"cnn"` or `"linear"`. Default: `brain.kind`, for `"stacked"` and `"inverse"`
     /// `"linear"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub brain: Option<BrainKind>,
     /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
     /// Number of outer steps, or of candidates of a search. Default: 350, with a linear decoder 100; `"paper"` 100; `"random"`
     /// 80, with a linear decoder 30, which take as long as `"joint"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
     /// Adam's learning rate on the design, or standard deviation of the candidates of a search. Unit: mm. Default: 0.2, with a
     /// linear decoder 0.3; `"paper"` 0.1; `"random"` 1.0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
     /// Samples per step for the gradient of the design, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
     /// `"joint"`, for a `brain.task` other than `"forces"` 128, over casts 8, with `reader = "each"` 24.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_iterations: Option<usize>,
     /// Adam's learning rate of these iterations. Unit: 1. Default: 1e-3.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
     /// A cheaper integrator for the outer steps of `"joint"`. Evaluations on the test set and the final comparison use
     /// `[solver]`. Default: `{ method = "auto", tolerance = 0.03 }`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
     /// `[p, q]`: the nodes of p × q cells move together, separately for each direction of ligaments. This gives fewer design
     /// parameters at the same size. Default: `[1, 1]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tie: Option<[usize; 2]>,
     /// Units whose shape does not change. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub frozen: Option<Vec<usize>>,
     /// Objective of the design: `"nominal"`, the error of the design itself; or, over casts of `[variation]` drawn per step,
     /// `"mean"`, `"worst"` or `{ cvar = 0.9 }` (mean over the worst tenth). Without `[variation]`, the same over the logarithms
     /// of the errors under each part of `stimuli.mix`. Only for `"joint"`. Default: `"nominal"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
     /// Casts per step, with `batch` samples each. Default: 4, with `reader = "each"` 3; over a mixture its parts.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
     /// Decoder of the casts during training: `"one"` for all casts, or `"each"` for one per cast. Default: `"one"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub reader: Option<CastReader>,
 }
 
@@ -419,69 +392,43 @@ impl Optimise {
     }
 }
 
-impl Default for Optimise {
-    fn default() -> Self {
-        Self {
-            brain: None,
-            protocol: Protocol::Joint,
-            iterations: None,
-            learning_rate: None,
-            gradient: None,
-            batch: None,
-            brain_iterations: None,
-            brain_learning_rate: None,
-            coarse: None,
-            tie: None,
-            frozen: None,
-            objective: None,
-            casts: None,
-            reader: None,
-        }
-    }
-}
-
 /// Learning-rate schedule of the final comparison.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Schedule {
     /// Falls to 0 along a cosine.
+    #[default]
     Cosine,
     /// Constant, as in the paper.
     Constant,
 }
 
 /// The final comparison of initial and trained body.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[skip_serializing_none]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
     /// Number of fresh networks per body; their errors differ by tens of per cent. A linear decoder is fitted once. Default: 3.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,
     /// Learning-rate schedule of their training.
     pub schedule: Schedule,
     /// Training samples per iteration (mini-batch). A quarter of all samples costs about a quarter of the time, with the same
     /// errors (docs/explanation/accuracy.md). Larger values mean all samples. Default: all, as in the paper.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of further networks, as many as `seeds`, that are trained longer (10 000 in the paper), at most 10 000 000. In
     /// `v_network` and `v_curve` they follow the others. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub long_iterations: Option<usize>,
     /// Number of new casts of the initial and of the trained body on which decoders are evaluated (`v_cast`); 0: none. Default:
     /// 24 with a `[variation]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
     /// Whether linear decoders are also calibrated on 10, 30, 100 and all training samples of a cast. This is most of the work on
     /// a cast; inverse decoders need it. Default: true.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub records: Option<bool>,
     /// Further kinds of forces under which both bodies are evaluated with linear decoders (`v_under`): tables
     /// `[[evaluation.under]]` of `kind` and keys of that kind, each kind once. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub under: Option<Vec<Part>>,
     /// Whether the initial body is evaluated, too, to measure the gain by training. It takes half of the comparison. A search for
     /// a design (`[goal]`) does not need it. Default: true.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<bool>,
 }
 
@@ -516,20 +463,5 @@ impl Evaluation {
     #[must_use]
     pub fn networks(&self) -> usize {
         self.seeds.unwrap_or(NETWORKS)
-    }
-}
-
-impl Default for Evaluation {
-    fn default() -> Self {
-        Self {
-            seeds: None,
-            schedule: Schedule::Cosine,
-            batch: None,
-            long_iterations: None,
-            casts: None,
-            records: None,
-            under: None,
-            initial: None,
-        }
     }
 }

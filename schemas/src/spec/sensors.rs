@@ -2,6 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 use super::body::Design;
 
@@ -85,66 +86,50 @@ pub enum From {
 }
 
 /// Positions of the sensors, and properties of real sensors.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sensors {
     /// Axes of the accelerations.
     pub frame: Frame,
     /// Signals that each sensor measures. Default: `["ax", "ay", "omega"]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Channel>>,
     /// Placements as lists of units, instead of `sweep.placements`. Trials with M sensors use the lists with M units. Default:
     /// none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<Vec<Vec<usize>>>,
     /// How the `sweep.placements` placements are chosen. In a search, placement 0 is the best, placement 1 the best that contains
     /// the second-best single unit, and so on. Default: `"random"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<Search>,
     /// Candidate units of a search. Default: `"interior"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<From>,
     /// Smallest distance between two sensors that a search places. Unit: mm. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
     /// Standard deviation of the white noise of every reading. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<Disturbance>,
     /// Standard deviation of the offset of every channel, constant during a sample and drawn per sample. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Disturbance>,
     /// The body to whose signals a scalar `noise` or `bias` is relative, in the form of `body.design`. Default: the body that the
     /// trial starts from.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_to: Option<Design>,
     /// Delay of the signals. Unit: s. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
     /// Cut-off frequency of the chip's low-pass (Butterworth, order 2). Unit: Hz. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub bandwidth: Option<f64>,
     /// Largest absolute readings of accelerations and angular velocities; larger values are clipped. Unit: mm/s², rad/s. Default:
     /// none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<[f64; 2]>,
     /// Resolution of accelerations and angular velocities. Unit: mm/s², rad/s. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[f64; 2]>,
     /// A commercial chip: sets mass, inertia, range and resolution if these keys are omitted. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub chip: Option<Part>,
     /// Mass of each chip, on the centroid of its unit. Candidates of `sensors.search` carry no chip. Unit: Mg. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub mass: Option<f64>,
     /// Moment of inertia of each chip about the centroid. Unit: Mg mm². Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<f64>,
     /// Position of each chip on its unit: `[x, y]` from the centroid, in the unit's frame. Cannot be combined with `mass` or
     /// `inertia`, which act at the centroid. Unit: mm. Default: `[0, 0]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<[f64; 2]>,
     /// In-plane angle of each chip's axes relative to those of `frame`. Unit: degrees. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt: Option<f64>,
 }
 

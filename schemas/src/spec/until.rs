@@ -2,18 +2,18 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 /// Questions that end a sweep when they are answered; the grid is an upper limit.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Until {
     /// Gain by training (error of the initial body divided by that of the trained body), until the width of its interval is this
     /// fraction of the gain. Unit: 1. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub paired: Option<f64>,
     /// The smallest M whose error on the trained body exceeds that of the best M by at most this fraction. Unit: 1. Default:
     /// none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub within: Option<f64>,
     /// The M beyond which more sensors on the trained body gain little: the elbow of the logarithm of its error. Needs four
     /// values of M. `analyse` also tests errors in per cent and a smooth decay, so it may find no elbow.
@@ -43,16 +43,14 @@ impl Default for Until {
 }
 
 /// Upper limits of a sweep.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AtMost {
     /// Placements. Default: `sweep.placements`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<usize>,
     /// Seeds: those of `sweep.seeds`, then the numbers after the last one. Default: `sweep.seeds`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,
     /// CPU time of all trials; beyond it no further trial starts. Unit: h. Default: no limit.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub hours: Option<f64>,
 }

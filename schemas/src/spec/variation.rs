@@ -2,46 +2,39 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
+
+use super::is_default;
 
 /// Manufacturing variation: the material by a factor per cast and factors per ligament and unit, nodes and chips individually. A
 /// deviation of 0.05 is 5 %.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Variation {
     /// Standard deviation of the logarithm of `body.stiffness.stretch`. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<Scatter<OfLigaments>>,
     /// Standard deviation of the logarithm of `body.stiffness.shear`. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub shear: Option<Scatter<OfLigaments>>,
     /// Standard deviation of the logarithm of `body.stiffness.bend`. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub bend: Option<Scatter<OfLigaments>>,
     /// Standard deviation of the logarithm of `body.damping_ratio`. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
     /// Standard deviation of the logarithm of `body.density`. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub density: Option<Scatter<OfUnits>>,
     /// Standard deviation of the logarithm of `body.contact.stiffness`. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<f64>,
     /// Standard deviation of each coordinate of each node shift, and the correlation between nodes. Unit: mm. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub nodes: Option<Nodes>,
     /// Standard deviation of the logarithm of the gain of each channel of each chip. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
     /// Standard deviation of the in-plane angle of each chip. Unit: degrees. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub misalignment: Option<f64>,
     /// Standard deviation of the logarithm of `body.ligament_length`, common to all ligaments of a cast. Units shrink by the
     /// added length; stiffnesses stay. Unit: 1. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ligament_length: Option<f64>,
     /// Relaxation of the ligaments in the casts that evaluate a body (`evaluation.casts`, `metasense body casts`). Training and
     /// decoders fitted to other casts do not include it, so it tests a model error. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub relaxation: Option<Relaxation>,
 }
 
@@ -72,7 +65,7 @@ pub enum Scatter<Parts> {
 #[serde(deny_unknown_fields)]
 pub struct OfLigaments {
     /// Standard deviation of the logarithm of the factor that all ligaments of a cast share. Default: 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub common: f64,
     /// Standard deviation of the logarithm of the factor of each ligament.
     pub ligament: f64,
@@ -83,15 +76,10 @@ pub struct OfLigaments {
 #[serde(deny_unknown_fields)]
 pub struct OfUnits {
     /// Standard deviation of the logarithm of the factor that all units of a cast share. Default: 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub common: f64,
     /// Standard deviation of the logarithm of the factor of each unit.
     pub unit: f64,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde wants it")]
-fn is_zero(deviation: &f64) -> bool {
-    *deviation == 0.0
 }
 
 impl From<OfLigaments> for [f64; 2] {
