@@ -65,11 +65,11 @@ async fn live(store: &mut Store, hash: &str, life: TrialState) {
         }
         TrialState::Failed(reason) => {
             steps(store, hash, attempt, 1).await;
-            store.fail(hash, attempt, reason).await.unwrap();
+            store.fail(hash, attempt, reason, true).await.unwrap();
         }
         TrialState::Steps(n) => {
             steps(store, hash, attempt, n).await;
-            store.give_up_attempt(hash, attempt, "stopped").await.unwrap();
+            store.fail(hash, attempt, "stopped", false).await.unwrap();
         }
         TrialState::Killed(n) => steps(store, hash, attempt, n).await,
     }
@@ -338,7 +338,7 @@ async fn a_live_database_can_be_read_but_not_written() {
     let summary = merge(Extent::Whole, std::slice::from_ref(&db), &out).await.unwrap();
     assert_eq!((summary.trials, summary.read), (6, 1));
     let refused = merge(Extent::Whole, std::slice::from_ref(&out), &db).await;
-    assert!(matches!(refused, Err(MergeError::Store(StoreError::InUse { .. }))), "{refused:?}");
+    assert!(matches!(refused, Err(MergeError::Store(StoreError::InUse(..)))), "{refused:?}");
     let mut reader = Reader::open(&out).await.unwrap();
     let states = reader
         .query::<metasense::look::Table>("SELECT state, count(*) FROM v_trial GROUP BY 1")
@@ -422,7 +422,7 @@ fn a_run_and_a_merge_do_not_take_a_file_from_each_other() {
             let opened = Store::open(&out).await;
             let mut store = match opened {
                 Ok(store) => store,
-                Err(StoreError::InUse { .. }) => return false,
+                Err(StoreError::InUse(..)) => return false,
                 Err(error) => panic!("{error}"),
             };
             store.begin_sweep(&own.spec, &own.source.text, &own.trials).await.unwrap();
@@ -434,7 +434,7 @@ fn a_run_and_a_merge_do_not_take_a_file_from_each_other() {
         });
         let merge_done = match merging.join().unwrap() {
             Ok(_) => true,
-            Err(MergeError::Store(StoreError::InUse { .. })) => false,
+            Err(MergeError::Store(StoreError::InUse(..))) => false,
             Err(error) => panic!("{error}"),
         };
         assert!(recorded || merge_done, "both were refused");
@@ -653,7 +653,7 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
         let s = plan("s");
         store.begin_sweep(&s.spec, &s.source.text, &s.trials).await
     });
-    assert!(matches!(facts, Err(StoreError::FactsAlone { .. })), "{facts:?}");
+    assert!(matches!(facts, Err(StoreError::FactsAlone(..))), "{facts:?}");
     assert!(matches!(merged(&pool()[..1], &at("facts")), Err(MergeError::Result { .. })));
     let mixed = runtime.block_on(merge(Extent::Facts, &pool()[..1], &at("whole")));
     assert!(matches!(mixed, Err(MergeError::NotFacts(_))), "{mixed:?}");

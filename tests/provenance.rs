@@ -225,7 +225,7 @@ async fn what_was_said_stays_with_the_trial() {
         store.log(hash, attempt, Level::Warn, &text).await.unwrap();
     }
     store.log(hash, attempt, Level::Error, "non_finite: sample 3").await.unwrap();
-    store.fail(hash, attempt, "non_finite").await.unwrap();
+    store.fail(hash, attempt, "non_finite", true).await.unwrap();
     store.close().await.unwrap();
     merge(Extent::Whole, &[bench.path("s.sqlite")], &bench.path("merged.sqlite")).await.unwrap();
     for db in ["s.sqlite", "merged.sqlite"] {

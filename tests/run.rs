@@ -171,7 +171,7 @@ async fn a_failed_trial_is_run_again_on_request_alone() {
     let mut store = Store::open(bench.path("results/tiny.sqlite")).await.unwrap();
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
     store.begin_attempt(hash).await.unwrap();
-    store.fail(hash, 1, "time_limit").await.unwrap();
+    store.fail(hash, 1, "time_limit", true).await.unwrap();
     store.close().await.unwrap();
     let settled = bench.metasense(&["run", "tiny.toml"]);
     let said = String::from_utf8_lossy(&settled.stderr).into_owned();

@@ -123,7 +123,7 @@ async fn what_is_recorded_is_read_back() {
     assert_eq!(value(&db, ended).await, json!(1));
     assert_eq!(store.begin_attempt(hash).await.unwrap(), 2);
     let stale = store.record_step(hash, 1, &step, &checkpoint).await;
-    assert!(matches!(stale, Err(StoreError::Stale { attempt: 1, .. })), "{stale:?}");
+    assert!(matches!(stale, Err(StoreError::Stale(_, 1))), "{stale:?}");
     let npy = npy_bytes(&[1, 2, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
     let forces = Array { name: "forces", shape: &[1, 2, 3], npy: &npy };
     store.finish(hash, 2, &result(), &[forces]).await.unwrap();
@@ -133,9 +133,9 @@ async fn what_is_recorded_is_read_back() {
     let other = &trials[1].hash;
     store.begin_batch().await.unwrap();
     let attempt = store.begin_attempt(other).await.unwrap();
-    store.give_up_attempt(other, attempt, "worker_killed(9)").await.unwrap();
+    store.fail(other, attempt, "worker_killed(9)", false).await.unwrap();
     let attempt = store.begin_attempt(other).await.unwrap();
-    store.fail(other, attempt, "non_finite").await.unwrap();
+    store.fail(other, attempt, "non_finite", true).await.unwrap();
     store.commit_batch().await.unwrap();
     store.close().await.unwrap();
 
@@ -263,7 +263,7 @@ async fn only_one_writer_at_a_time() {
     let db = folder.path().join("s.sqlite");
     let store = Store::open(&db).await.unwrap();
     let second = Store::open(&db).await;
-    assert!(matches!(second, Err(StoreError::InUse { .. })), "{second:?}");
+    assert!(matches!(second, Err(StoreError::InUse(..))), "{second:?}");
     drop(store);
     Store::open(&db).await.unwrap();
 }
@@ -278,7 +278,7 @@ async fn foreign_and_newer_databases_are_refused_untouched() {
     )
     .unwrap();
     let before = std::fs::read(&foreign).unwrap();
-    assert!(matches!(Store::open(&foreign).await, Err(StoreError::NotOurs { .. })));
+    assert!(matches!(Store::open(&foreign).await, Err(StoreError::NotOurs(..))));
     assert_eq!(std::fs::read(&foreign).unwrap(), before);
 
     let newer = folder.path().join("newer.sqlite");
@@ -287,7 +287,7 @@ async fn foreign_and_newer_databases_are_refused_untouched() {
     bytes[60..64].copy_from_slice(&99u32.to_be_bytes()); // user_version in the header
     std::fs::write(&newer, &bytes).unwrap();
     let refused = Store::open(&newer).await;
-    assert!(matches!(refused, Err(StoreError::Newer { version: 99, .. })), "{refused:?}");
+    assert!(matches!(refused, Err(StoreError::Newer(_, 99))), "{refused:?}");
     assert_eq!(std::fs::read(&newer).unwrap(), bytes);
 }
 
@@ -356,7 +356,7 @@ async fn no_time_is_negative() {
         let attempt = store.begin_attempt(&trial(0).hash).await.unwrap();
         later().await;
         match end {
-            0 => store.give_up_attempt(&trial(0).hash, attempt, "stopped").await.unwrap(),
+            0 => store.fail(&trial(0).hash, attempt, "stopped", false).await.unwrap(),
             1 => drop(store.begin_attempt(&trial(0).hash).await.unwrap()),
             _ => {
                 drop(store);
@@ -378,7 +378,7 @@ async fn elapsed_times_do_not_follow_the_clock() {
     let plan = RunPlan { shard: (1, 1), workers: (1, 1), trials: 1, estimated_seconds: 1.0 };
     let run = store.begin_run(&plan).await.unwrap();
     let attempt = store.begin_attempt(&trial(0).hash).await.unwrap();
-    store.give_up_attempt(&trial(0).hash, attempt, "stopped").await.unwrap();
+    store.fail(&trial(0).hash, attempt, "stopped", false).await.unwrap();
     store.end_run(&run, "interrupted", 0, 0).await.unwrap();
     store.close().await.unwrap();
     let mut other = SqliteConnectOptions::new().filename(&db).connect().await.unwrap();
@@ -410,7 +410,7 @@ async fn a_damaged_checkpoint_gives_way_to_another_trials() {
             let checkpoint = Checkpoint { step: step + 1, design: vec![0.5; 168], ..Default::default() };
             store.record_step(hash, attempt, &record, &checkpoint).await.unwrap();
         }
-        store.give_up_attempt(hash, attempt, "stopped").await.unwrap();
+        store.fail(hash, attempt, "stopped", false).await.unwrap();
     }
     let mut disk = SqliteConnectOptions::new().filename(&db).connect().await.unwrap();
     let mut damage = async |hash: &str| {
@@ -427,6 +427,6 @@ async fn a_damaged_checkpoint_gives_way_to_another_trials() {
     damage(other).await;
     let attempt = store.begin_attempt(own).await.unwrap();
     let found = store.resume_checkpoint(own, attempt, None).await;
-    assert!(matches!(&found, Err(StoreError::Damaged { hash, .. }) if hash == own), "{found:?}");
+    assert!(matches!(&found, Err(StoreError::Damaged(hash, _)) if hash == own), "{found:?}");
     disk.close().await.unwrap();
 }

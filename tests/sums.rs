@@ -136,7 +136,7 @@ async fn made_up(db: &Path) -> Plan {
         assert!(store.resume_checkpoint(hash, attempt, None).await.unwrap().is_some(), "{hash}");
         store.record_cpu_seconds(hash, attempt, 2.0 + n as f64).await.unwrap();
         if n == 0 {
-            store.give_up_attempt(hash, attempt, "worker_killed(9)").await.unwrap();
+            store.fail(hash, attempt, "worker_killed(9)", false).await.unwrap();
             let attempt = store.begin_attempt(hash).await.unwrap();
             store.record_cpu_seconds(hash, attempt, 4.0).await.unwrap();
             store.finish(hash, attempt, &result(planned[0][1 + n], 20.0), &[]).await.unwrap();
@@ -147,7 +147,7 @@ async fn made_up(db: &Path) -> Plan {
     // restarted, so that steps occur twice; from an earlier version, which measured no CPU time
     let attempt = store.begin_attempt(two[0]).await.unwrap();
     steps(&mut store, two[0], attempt, 0..2).await;
-    store.give_up_attempt(two[0], attempt, "stopped").await.unwrap();
+    store.fail(two[0], attempt, "stopped", false).await.unwrap();
     let attempt = store.begin_attempt(two[0]).await.unwrap();
     steps(&mut store, two[0], attempt, 0..STEPS).await;
     store.finish(two[0], attempt, &result(planned[1][0], 5.0), &[]).await.unwrap();
@@ -155,7 +155,7 @@ async fn made_up(db: &Path) -> Plan {
     let attempt = store.begin_attempt(two[1]).await.unwrap();
     store.record_cpu_seconds(two[1], attempt, 7.0).await.unwrap();
     store.log(two[1], attempt, Level::Error, "no reason").await.unwrap();
-    store.fail(two[1], attempt, "non_finite").await.unwrap();
+    store.fail(two[1], attempt, "non_finite", true).await.unwrap();
     store.fail_pending(two[2], "cancelled").await.unwrap();
     // computed by other code, and marked for repetition
     let attempt = store.begin_attempt(three[0]).await.unwrap();

@@ -187,7 +187,7 @@ async fn fill(db: &Path) {
     for (trial, initial, optimised) in &trials[..trials.len() - 1] {
         let attempt = store.begin_attempt(&trial.hash).await.unwrap();
         if *initial == 0.0 {
-            store.fail(&trial.hash, attempt, "non_finite: sample 3 of the initial body").await.unwrap();
+            store.fail(&trial.hash, attempt, "non_finite: sample 3 of the initial body", true).await.unwrap();
             continue;
         }
         for n in 0..5u32 {

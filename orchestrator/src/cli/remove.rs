@@ -31,7 +31,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !args.db.is_file() {
-        return Err(StoreError::Missing { path: args.db }.into());
+        return Err(StoreError::Missing(args.db).into());
     }
     // Holds the database, so that no run changes the listed trials before they are removed.
     let store = if args.yes { Some(Store::open(&args.db).await?) } else { None };

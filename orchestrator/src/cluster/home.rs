@@ -118,7 +118,7 @@ impl Home {
         // Continue on disks without locks.
         let taken = matches!(folder.try_lock(), Err(TryLockError::WouldBlock));
         if taken || !store::is_still(&folder, ours) {
-            return Err(StoreError::InUse { path: self.live.clone() }.into());
+            return Err(StoreError::InUse(self.live.clone()).into());
         }
         self.alone = Some(folder);
         Ok(())
@@ -159,7 +159,7 @@ impl Home {
             match taken_in {
                 // The file was deleted because a later copy contains it: list the folder again.
                 Err(HomeError::Refused { path, .. }) if !path.exists() && Instant::now() < end => continue,
-                Err(HomeError::Store(StoreError::InUse { .. })) if Instant::now() < end => {}
+                Err(HomeError::Store(StoreError::InUse(..))) if Instant::now() < end => {}
                 Err(HomeError::Merge(e)) if e.is_in_use() && Instant::now() < end => {}
                 taken_in => return taken_in,
             }
@@ -201,7 +201,7 @@ impl Home {
 
     /// Whether the live database is damaged; in our own folder, also if it is not recognised as a database.
     fn is_damage(&self, error: &StoreError) -> bool {
-        error.is_damage() || self.scratch.is_some() && matches!(error, StoreError::NotOurs { .. })
+        error.is_damage() || self.scratch.is_some() && matches!(error, StoreError::NotOurs(..))
     }
 
     /// Moves the live database with its log to the results folder, under a name that merges ignore.

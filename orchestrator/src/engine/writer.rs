@@ -197,10 +197,7 @@ async fn transact(
             }
             QueuedRecord::Failure(lease, reason, settled) => {
                 let (hash, reason) = (hash(lease), reason.to_string());
-                match settled {
-                    true => store.fail(hash, lease.attempt, &reason).await?,
-                    false => store.give_up_attempt(hash, lease.attempt, &reason).await?,
-                }
+                store.fail(hash, lease.attempt, &reason, settled).await?;
                 WriterEvent::Recorded(lease, RecordKind::Failure)
             }
             QueuedRecord::Cancelled(lease) => {
@@ -218,9 +215,7 @@ async fn transact(
             QueuedRecord::Load(worker, lease, pause) => {
                 let checkpoint = match store.resume_checkpoint(hash(lease), lease.attempt, pause).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
-                    Err(StoreError::Damaged { .. }) => {
-                        Err("it is damaged (its checksum does not match)".into())
-                    }
+                    Err(StoreError::Damaged(..)) => Err("it is damaged (its checksum does not match)".into()),
                     other => Ok(other?.map(Box::new)),
                 };
                 WriterEvent::Loaded(worker, lease, checkpoint)

@@ -102,14 +102,14 @@ impl Reader {
                         return Ok(());
                     }
                 }
-                Err(StoreError::Query { message: String::new() })
+                Err(StoreError::Query(String::new()))
             })
             .await;
         let why = match (taken, full) {
             (Ok(()), None) => None,
             (_, Some(why)) => Some(why),
             (Err(_), None) if begun.elapsed() >= limits.time && rows.is_empty() => {
-                return Err(StoreError::Query { message: late() });
+                return Err(StoreError::Query(late()));
             }
             (Err(_), None) if begun.elapsed() >= limits.time => Some(late()),
             (Err(e), None) => return Err(e),

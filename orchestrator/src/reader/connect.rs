@@ -39,7 +39,7 @@ pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connecte
     let at = |source| StoreError::sql(path, OPENING, source);
     let mut found = open(path, rows).await?;
     if check_version(&mut found.connection, path).await? == 0 {
-        return Err(StoreError::NotOurs { path: path.to_owned() });
+        return Err(StoreError::NotOurs(path.to_owned()));
     }
     register(&mut found.connection).await.map_err(at)?;
     allow(&mut found.connection, AccessLevel::Reading).await.map_err(at)?;
@@ -77,13 +77,13 @@ async fn open(path: &Path, rows: Option<usize>) -> Result<Connected, StoreError>
 const COPY: &str = "copy.sqlite";
 
 fn scratch(path: &Path) -> Result<TempDir, StoreError> {
-    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
+    let failed = |source| StoreError::NotCopied(path.to_owned(), source);
     leftovers::scratch("metasense-read-").map_err(failed)
 }
 
 /// The current state of a file.
 pub(super) fn state(path: &Path) -> Result<String, StoreError> {
-    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
+    let failed = |source| StoreError::NotCopied(path.to_owned(), source);
     path.metadata().map(|m| state_of(&m)).map_err(failed)
 }
 
@@ -97,10 +97,10 @@ pub(crate) fn state_of(m: &Metadata) -> String {
 /// # Errors
 /// `InUse` if a process writes to it; `NotCopied` if the system fails.
 pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreError> {
-    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
+    let failed = |source| StoreError::NotCopied(path.to_owned(), source);
     let lock = File::open(path).map_err(failed)?;
     if files::is_held(&lock) || !is_still(&lock, path) {
-        return Err(StoreError::InUse { path: path.to_owned() });
+        return Err(StoreError::InUse(path.to_owned()));
     }
     for end in ["", "-wal"] {
         std::fs::copy(sidecar(path, end), sidecar(copy, end)).map_err(failed)?;

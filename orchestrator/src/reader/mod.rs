@@ -78,10 +78,10 @@ impl Row<'_> {
 /// A read-only connection.
 #[derive(Debug)]
 pub struct Reader {
-    pub(super) connected: Connected,
-    pub(super) path: PathBuf,
+    connected: Connected,
+    path: PathBuf,
     /// Which statements it accepts.
-    pub(super) allowed: AccessLevel,
+    allowed: AccessLevel,
     /// Whether no other connection existed when it was opened.
     alone: bool,
 }
@@ -131,13 +131,13 @@ impl Reader {
     }
 
     /// The same, with this number of rows buffered.
-    pub(super) async fn open_file(path: PathBuf, rows: Option<usize>) -> Result<Self, StoreError> {
+    async fn open_file(path: PathBuf, rows: Option<usize>) -> Result<Self, StoreError> {
         if !path.is_file() {
-            return Err(StoreError::Missing { path });
+            return Err(StoreError::Missing(path));
         }
         let alone = !sidecar(&path, "-wal").exists();
         if alone && path.metadata().is_ok_and(|file| file.len() == 0) {
-            return Err(StoreError::NotOurs { path });
+            return Err(StoreError::NotOurs(path));
         }
         let connected = connect(&path, rows).await?;
         let alone = alone && connected.unchanging.is_none();
@@ -157,7 +157,7 @@ impl Reader {
         let current = reader.is_current();
         let path = reader.path.clone();
         reader.close().await;
-        if current { answer } else { Err(StoreError::Changed { path }.into()) }
+        if current { answer } else { Err(StoreError::Changed(path).into()) }
     }
 
     /// Whether the file has not changed since it was opened without locks. Always true of files that are locked for reading.
@@ -203,13 +203,13 @@ impl Reader {
     pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
         // A NUL kills sqlx's thread, and the caller would wait forever.
         if sql.contains('\0') {
-            return Err(StoreError::Query { message: "a statement must not contain NUL".into() });
+            return Err(StoreError::Query("a statement must not contain NUL".into()));
         }
         if sql.chars().all(|c| c.is_whitespace() || c == ';') {
-            return Err(StoreError::Query { message: "the statement is empty".into() });
+            return Err(StoreError::Query("the statement is empty".into()));
         }
         if let Some(message) = self.refusal(sql).await? {
-            return Err(StoreError::Query { message });
+            return Err(StoreError::Query(message));
         }
         let path = &self.path;
         // The user's own statement, on a connection that cannot write.
@@ -292,7 +292,7 @@ impl Reader {
         }
         let all = self.hashes("SELECT hash FROM trial ORDER BY hash", "").await?;
         let found = position_of(beginning, all.iter().map(String::as_str));
-        let at = found.map_err(|which| StoreError::NotOne { path: self.path.clone(), which })?;
+        let at = found.map_err(|which| StoreError::NotOne(self.path.clone(), which))?;
         Ok(all[at].clone())
     }
 
@@ -380,7 +380,7 @@ fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
     match &source {
         sqlx::Error::Database(e) if !is_trouble(&source) => {
             let refused = if e.code().as_deref() == Some("23") { NOT_READING } else { "" };
-            StoreError::Query { message: format!("{}{refused}", e.message()) }
+            StoreError::Query(format!("{}{refused}", e.message()))
         }
         _ => StoreError::sql(path, "querying", source),
     }

@@ -53,7 +53,7 @@ impl Reader {
         })
         .await?;
         let Some(([hash, state, spec, units, units_optimised, solver], drawings)) = found else {
-            return Err(StoreError::UnknownTrial { path: self.path().to_owned(), hash: hash.to_owned() });
+            return Err(StoreError::UnknownTrial(self.path().to_owned(), hash.to_owned()));
         };
         if state != "done" {
             return Ok(None);

@@ -3,7 +3,7 @@
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::Optimise;
 
-use super::{Store, npy_bytes};
+use super::Store;
 
 /// Most designs kept per trial.
 const KEPT: usize = 20;
@@ -17,35 +17,28 @@ impl Store {
     pub(super) async fn insert_design(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
         let (steps, step) = (self.optimise(id).await?.steps(), checkpoint.step);
         let apart = steps.div_ceil(KEPT).max(1);
-        if checkpoint.design.is_empty() || !steps.abs_diff(step as usize).is_multiple_of(apart) {
+        if !steps.abs_diff(step as usize).is_multiple_of(apart) {
             return Ok(());
         }
         // for inspection, not for resuming: 32 bits suffice
-        let (shape, design) =
-            ([checkpoint.design.len()], checkpoint.design.iter().map(|x| *x as f32).collect::<Vec<_>>());
-        self.insert_artifact(id, &format!("{NAME}{step}"), &shape, npy_bytes(&shape, &design)).await
+        let design: Vec<f32> = checkpoint.design.iter().map(|x| *x as f32).collect();
+        self.insert_values(id, &format!("{NAME}{step}"), &design).await
     }
 
     /// The `[optimise]` settings of a trial.
     pub(super) async fn optimise(&mut self, id: i64) -> sqlx::Result<Optimise> {
-        let optimise: String = sqlx::query_scalar("SELECT spec->'$.optimise' FROM trial WHERE id = ?")
-            .bind(id)
-            .fetch_one(&mut self.connection)
-            .await?;
+        let optimise: String =
+            bound!(sqlx::query_scalar("SELECT spec->'$.optimise' FROM trial WHERE id = ?"); id)
+                .fetch_one(&mut self.connection)
+                .await?;
         serde_json::from_str(&optimise).map_err(|e| sqlx::Error::Decode(e.into()))
     }
 
     /// Copies the kept designs of another trial with the same body to this one.
     pub(super) async fn take_over_designs(&mut self, other: i64, id: i64) -> sqlx::Result<()> {
-        sqlx::query(
-            "INSERT OR IGNORE INTO artifact (trial_id, name, shape, digest, bytes)
-             SELECT ?, name, shape, digest, bytes FROM artifact WHERE trial_id = ? AND substr(name, 1, length(?3)) = ?3",
-        )
-        .bind(id)
-        .bind(other)
-        .bind(NAME)
-        .execute(&mut self.connection)
-        .await?;
+        run!(self, "INSERT OR IGNORE INTO artifact (trial_id, name, shape, digest, bytes)
+             SELECT ?, name, shape, digest, bytes FROM artifact WHERE trial_id = ? AND substr(name, 1, length(?3)) = ?3";
+            id, other, NAME)?;
         Ok(())
     }
 }

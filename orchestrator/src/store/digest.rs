@@ -15,6 +15,6 @@ pub(super) fn digest(bytes: &[u8]) -> Vec<u8> {
 pub(crate) fn check(hash: &str, what: &str, bytes: &[u8], checksum: &[u8]) -> Result<(), StoreError> {
     match checksum.is_empty() || checksum == blake3::hash(bytes).as_bytes() {
         true => Ok(()),
-        false => Err(StoreError::Damaged { hash: hash.to_owned(), what: what.to_owned() }),
+        false => Err(StoreError::Damaged(hash.to_owned(), what.to_owned())),
     }
 }

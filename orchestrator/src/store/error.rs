@@ -15,31 +15,19 @@ pub(crate) const OPENING: &str = "opening";
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The file or its folder cannot be written.
-    #[error("cannot write the database {}; choose another file", path.display())]
-    Unwritable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The database is on a network file system.
+    #[error("cannot write the database {}; choose another file", .0.display())]
+    Unwritable(PathBuf, #[source] std::io::Error),
+    /// The database is on this network file system.
     #[error(
-        "the database {} would be on {system}, a network file system, where SQLite's write-ahead log does not work: \
+        "the database {} would be on {}, a network file system, where SQLite's write-ahead log does not work: \
          choose a file on a disk of this machine; `cluster merge` copies the finished database anywhere",
-        path.display()
+        .0.display(),
+        .1
     )]
-    NetworkDisk {
-        /// The file.
-        path: PathBuf,
-        /// The file system.
-        system: String,
-    },
+    NetworkDisk(PathBuf, String),
     /// Another run uses the database.
-    #[error("the database {} is in use by another run; wait for it, or choose another file", path.display())]
-    InUse {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("the database {} is in use by another run; wait for it, or choose another file", .0.display())]
+    InUse(PathBuf),
     /// The database files disappeared while it was open for writing.
     #[error("the database {} {} during the run: {}", path.display(), lost.words(), saved_words(path, saved))]
     Lost {
@@ -51,63 +39,41 @@ pub enum StoreError {
         saved: Result<PathBuf, String>,
     },
     /// The file belongs to another program.
-    #[error("{} is not a metasense database; choose another file", path.display())]
-    NotOurs {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Written by a newer version.
+    #[error("{} is not a metasense database; choose another file", .0.display())]
+    NotOurs(PathBuf),
+    /// Written by a newer version of the schema.
     #[error(
-        "the database {} has version {version}, this program reads version {VERSION}: update metasense, or choose another file",
-        path.display()
+        "the database {} has version {}, this program reads version {VERSION}: update metasense, or choose another file",
+        .0.display(),
+        .1
     )]
-    Newer {
-        /// The file.
-        path: PathBuf,
-        /// Its version.
-        version: i64,
-    },
-    /// Written by a version before 1.0.
+    Newer(PathBuf, i64),
+    /// Written by an older version of the schema, before release 1.0.
     #[error(
-        "the database {} has version {version}, this program reads version {VERSION} only: it was written by an older version of \
+        "the database {} has version {}, this program reads version {VERSION} only: it was written by an older version of \
          metasense; read it with that program (`metasense query {} … --format csv` saves its rows), or run its spec again \
          into another file",
-        path.display(),
-        path.display()
+        .0.display(),
+        .1,
+        .0.display()
     )]
-    Older {
-        /// The file.
-        path: PathBuf,
-        /// Its version.
-        version: usize,
-    },
+    Older(PathBuf, usize),
     /// The database can only be read as a copy, and copying failed.
     #[error(
         "{}: copying it to TMPDIR failed; a copy is needed because it cannot be read in place",
-        path.display()
+        .0.display()
     )]
-    NotCopied {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    NotCopied(PathBuf, #[source] std::io::Error),
     /// The database was read without locks and has changed meanwhile.
-    #[error("{}: has changed while it was read; run the command again", path.display())]
-    Changed {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{}: has changed while it was read; run the command again", .0.display())]
+    Changed(PathBuf),
     /// The database contains trials without their steps, curves and arrays.
     #[error(
         "{} contains only facts, without steps, curves and arrays, so trials cannot be resumed from it; `metasense cluster merge` without \
          --facts makes a complete database",
-        path.display()
+        .0.display()
     )]
-    FactsAlone {
-        /// The file.
-        path: PathBuf,
-    },
+    FactsAlone(PathBuf),
     /// The file with the other data of a trial whose facts were merged cannot be read.
     #[error(
         "{}: the steps, curves and arrays of trial {hash} were in {}, which cannot be read: merge the facts again",
@@ -125,12 +91,9 @@ pub enum StoreError {
         source: Box<StoreError>,
     },
     /// The file does not exist.
-    #[error("no database {}; `metasense run SPEC` creates it", path.display())]
-    Missing {
-        /// The file.
-        path: PathBuf,
-    },
-    /// An SQLite error.
+    #[error("no database {}; `metasense run SPEC` creates it", .0.display())]
+    Missing(PathBuf),
+    /// SQLite failed `doing` something to the file.
     #[error("{doing} the database {}{}{}", path.display(), hint(source), shortage(path, source))]
     Sql {
         /// The file.
@@ -140,47 +103,24 @@ pub enum StoreError {
         /// SQLite's error.
         source: sqlx::Error,
     },
-    /// A query is not valid SQL or is not allowed.
-    #[error("the query failed: {message}")]
-    Query {
-        /// SQLite's message.
-        message: String,
-    },
-    /// A record of an outdated attempt.
-    #[error("trial {hash}: attempt {attempt} is not the current one; its record was dropped")]
-    Stale {
-        /// The trial.
-        hash: String,
-        /// The attempt.
-        attempt: i64,
-    },
-    /// The trial does not exist.
-    #[error("the database {} contains no trial {hash}", path.display())]
-    UnknownTrial {
-        /// The file.
-        path: PathBuf,
-        /// The trial.
-        hash: String,
-    },
-    /// The prefix of a hash matches no trial or several.
-    #[error("{}: {which}", path.display())]
-    NotOne {
-        /// The file.
-        path: PathBuf,
-        /// The matching hashes.
-        which: HashError,
-    },
-    /// A checkpoint or array whose checksum does not match.
+    /// A query is not valid SQL or is not allowed, with SQLite's message.
+    #[error("the query failed: {0}")]
+    Query(String),
+    /// A record of a trial's outdated attempt.
+    #[error("trial {0}: attempt {1} is not the current one; its record was dropped")]
+    Stale(String, u32),
+    /// The file contains no trial with this hash.
+    #[error("the database {} contains no trial {}", .0.display(), .1)]
+    UnknownTrial(PathBuf, String),
+    /// The prefix of a hash matches no trial of the file, or several.
+    #[error("{}: {}", .0.display(), .1)]
+    NotOne(PathBuf, HashError),
+    /// A checkpoint or an array of this trial, whose checksum does not match.
     #[error(
-        "trial {hash}: the stored {what} is damaged (its checksum does not match): remove the trial with `metasense remove DB hash={hash} \
+        "trial {0}: the stored {1} is damaged (its checksum does not match): remove the trial with `metasense remove DB hash={0} \
          --yes`; `metasense run` then computes it again"
     )]
-    Damaged {
-        /// The trial.
-        hash: String,
-        /// "checkpoint", or the array.
-        what: String,
-    },
+    Damaged(String, String),
     /// A stored value that this program cannot read.
     #[error("trial {hash}: the stored {what} cannot be read: {message}")]
     Unreadable {
@@ -199,7 +139,7 @@ impl StoreError {
     pub fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
         let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
         match code.as_deref() {
-            Some("26") => Self::NotOurs { path: path.to_owned() },
+            Some("26") => Self::NotOurs(path.to_owned()),
             _ => Self::Sql { path: path.to_owned(), doing, source },
         }
     }
@@ -223,15 +163,15 @@ impl StoreError {
     pub fn is_bad_input(&self) -> bool {
         match self {
             Self::Sql { doing, source, .. } => *doing == OPENING && !is_trouble(source),
-            Self::Unwritable { source, .. } => source.kind() != std::io::ErrorKind::StorageFull,
+            Self::Unwritable(_, source) => source.kind() != std::io::ErrorKind::StorageFull,
             other => !matches!(
                 other,
                 Self::Lost { .. }
-                    | Self::NotCopied { .. }
-                    | Self::Changed { .. }
-                    | Self::InUse { .. }
-                    | Self::Stale { .. }
-                    | Self::Damaged { .. }
+                    | Self::NotCopied(..)
+                    | Self::Changed(..)
+                    | Self::InUse(..)
+                    | Self::Stale(..)
+                    | Self::Damaged(..)
                     | Self::Unreadable { .. }
             ),
         }

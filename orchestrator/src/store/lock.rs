@@ -34,7 +34,7 @@ pub(crate) fn has_journal(file: &Path) -> bool {
 /// # Errors
 /// `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not a regular file.
 pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
-    let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
+    let unwritable = |source| StoreError::Unwritable(path.to_owned(), source);
     for attempt in 0..ATTEMPTS {
         if attempt > 0 {
             std::thread::sleep(PAUSE);
@@ -53,7 +53,7 @@ pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
             Err(TryLockError::Error(source)) => return Err(unwritable(source)),
         }
     }
-    Err(StoreError::InUse { path: path.to_owned() })
+    Err(StoreError::InUse(path.to_owned()))
 }
 
 /// Whether a path still refers to an open file.

@@ -42,21 +42,13 @@ impl Store {
             Some((end, _)) => format!("{} …", &text[..end]),
             None => text.to_owned(),
         };
-        sqlx::query(
+        run!(self,
             "INSERT INTO log (trial_id, attempt, line, at, level, text)
              SELECT ?1, ?2, n + 1, strftime('%Y-%m-%dT%H:%M:%fZ'), ?3,
                CASE WHEN n + 1 = ?5 AND ?3 <> 'error' THEN 'further lines are in the log file beside the database' ELSE ?4 END
              FROM (SELECT coalesce(max(line), 0) AS n FROM log WHERE trial_id = ?1 AND attempt = ?2)
-             WHERE n < ?5 OR ?3 = 'error'",
-        )
-        .bind(id)
-        .bind(attempt)
-        .bind(level.name())
-        .bind(text)
-        .bind(LINES)
-        .execute(&mut self.connection)
-        .await
+             WHERE n < ?5 OR ?3 = 'error'"; id, attempt, level.name(), text, LINES)
         .map(|_| ())
-        .map_err(|source| StoreError::sql(&self.path, "recording what was said in", source))
+        .map_err(self.at("recording what was said in"))
     }
 }

@@ -4,6 +4,18 @@
 //! transaction costs one fsync; `begin_batch` … `commit_batch` shares it among many records. A file lock excludes a second
 //! writer while a `Store` exists. All methods fail if SQLite does; their documentation lists other errors.
 
+/// A query with these arguments.
+macro_rules! bound {
+    ($query:expr; $($argument:expr),+ $(,)?) => { $query$(.bind($argument))+ };
+}
+
+/// Runs a statement of a `Store` with these arguments.
+macro_rules! run {
+    ($store:expr, $sql:expr; $($argument:expr),+) => {
+        bound!(sqlx::query($sql); $($argument),+).execute(&mut $store.connection).await
+    };
+}
+
 mod designs;
 mod digest;
 mod disk;
@@ -14,6 +26,7 @@ mod log;
 mod presence;
 mod prior;
 mod redo;
+mod result;
 mod runs;
 mod sweep;
 mod wait;
@@ -74,10 +87,9 @@ impl Store {
     async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
         let file = resolve_links(&path);
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        std::fs::create_dir_all(folder)
-            .map_err(|source| StoreError::Unwritable { path: path.clone(), source })?;
+        std::fs::create_dir_all(folder).map_err(|source| StoreError::Unwritable(path.clone(), source))?;
         if let Some(system) = disk::network_of(folder) {
-            return Err(StoreError::NetworkDisk { path, system });
+            return Err(StoreError::NetworkDisk(path, system));
         }
         let lock = Arc::new(lock(&path, true)?);
         let at = |source| StoreError::sql(&path, OPENING, source);
@@ -168,12 +180,12 @@ pub(crate) async fn check_version(
         )));
     }
     if application != APPLICATION_ID && (application != 0 || tables != 0) {
-        return Err(StoreError::NotOurs { path: path.to_owned() });
+        return Err(StoreError::NotOurs(path.to_owned()));
     }
     match usize::try_from(version) {
         Ok(version @ (0 | VERSION)) => Ok(version),
-        Ok(version @ 1..VERSION) => Err(StoreError::Older { path: path.to_owned(), version }),
-        _ => Err(StoreError::Newer { path: path.to_owned(), version }),
+        Ok(version @ 1..VERSION) => Err(StoreError::Older(path.to_owned(), version)),
+        _ => Err(StoreError::Newer(path.to_owned(), version)),
     }
 }
 

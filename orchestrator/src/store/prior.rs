@@ -34,13 +34,11 @@ impl Store {
         let made = self.provenance.as_ref();
         // Safe: contains only our own SQL.
         let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
-        let rows: Vec<(String, u32)> = sqlx::query_as(AssertSqlSafe(sql))
-            .bind(None::<i64>)
-            .bind(made.map(|made| &made.code))
-            .bind(made.map(|made| &made.simd))
+        let (code, simd) = (made.map(|made| &made.code), made.map(|made| &made.simd));
+        let rows: Vec<(String, u32)> = bound!(sqlx::query_as(AssertSqlSafe(sql)); None::<i64>, code, simd)
             .fetch_all(&mut self.connection)
             .await
-            .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+            .map_err(self.at("reading"))?;
         Ok(rows.into_iter().collect())
     }
 
@@ -56,7 +54,7 @@ impl Store {
         pause: Option<u32>,
     ) -> Result<Option<Checkpoint>, StoreError> {
         let own = match self.checkpoint(hash).await {
-            Err(error @ (StoreError::Damaged { .. } | StoreError::Unreadable { .. })) => Err(error),
+            Err(error @ (StoreError::Damaged(..) | StoreError::Unreadable { .. })) => Err(error),
             own => Ok(own?),
         };
         let behind = own.as_ref().ok().and_then(Option::as_ref).map_or(0, |own| own.step);
@@ -66,15 +64,11 @@ impl Store {
             "SELECT m.id, m.hash, m.reached, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
              WHERE m.id <> ?1 AND m.reached > ?4 AND m.reached <= ?5 ORDER BY m.reached DESC, m.id"
         );
-        let trainers: Vec<(i64, String, u32, u32)> = sqlx::query_as(AssertSqlSafe(sql))
-            .bind(id)
-            .bind(made.map(|made| &made.code))
-            .bind(made.map(|made| &made.simd))
-            .bind(behind)
-            .bind(pause.unwrap_or(u32::MAX))
-            .fetch_all(&mut self.connection)
-            .await
-            .map_err(&at)?;
+        let (code, simd) = (made.map(|made| &made.code), made.map(|made| &made.simd));
+        let query =
+            bound!(sqlx::query_as(AssertSqlSafe(sql)); id, code, simd, behind, pause.unwrap_or(u32::MAX));
+        let trainers: Vec<(i64, String, u32, u32)> =
+            query.fetch_all(&mut self.connection).await.map_err(&at)?;
         if trainers.is_empty() {
             return own;
         }
@@ -143,8 +137,7 @@ impl Store {
             "INSERT OR IGNORE INTO step (trial_id, attempt, recorded_at, {columns})
              SELECT ?, 0, strftime('%Y-%m-%dT%H:%M:%fZ'), {columns} FROM step WHERE trial_id = ? AND step < ?"
         );
-        let query = sqlx::query(AssertSqlSafe(sql)).bind(id).bind(other).bind(before);
-        query.execute(&mut self.connection).await?;
+        run!(self, AssertSqlSafe(sql); id, other, before)?;
         Ok(())
     }
 
@@ -157,10 +150,8 @@ impl Store {
         )
         .fetch_all(&mut self.connection)
         .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows
-            .into_iter()
-            .map(|(hash, attempts, steps)| (hash, PriorProgress { attempts, steps }))
-            .collect())
+        .map_err(self.at("reading"))?;
+        let progress = |(hash, attempts, steps)| (hash, PriorProgress { attempts, steps });
+        Ok(rows.into_iter().map(progress).collect())
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use super::write::VERSION;
 use super::{Store, StoreError};
 
 /// Plan of a run at its start.
@@ -31,21 +32,12 @@ impl Store {
     /// Records the start of a run of the current sweep.
     pub async fn begin_run(&mut self, plan: &RunPlan) -> Result<RunKey, StoreError> {
         let host = self.provenance.as_ref().map_or(String::new(), |made| made.host.clone());
-        let (sweep, started_at): (i64, String) = sqlx::query_as(
+        let (sweep, started_at): (i64, String) = bound!(sqlx::query_as(
             "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials,
                estimated_seconds)
-             VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ'), ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING sweep_id, started_at",
-        )
-        .bind(self.sweep)
-        .bind(&host)
-        .bind(plan.shard.0)
-        .bind(plan.shard.1)
-        .bind(job())
-        .bind(env!("CARGO_PKG_VERSION"))
-        .bind(plan.workers.0)
-        .bind(plan.workers.1)
-        .bind(plan.trials as i64)
-        .bind(plan.estimated_seconds)
+             VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ'), ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING sweep_id, started_at");
+            self.sweep, &host, plan.shard.0, plan.shard.1, job(), VERSION, plan.workers.0, plan.workers.1,
+            plan.trials as i64, plan.estimated_seconds)
         .fetch_one(&mut self.connection)
         .await
         .map_err(self.at("recording a run in"))?;
@@ -60,21 +52,11 @@ impl Store {
         done: usize,
         failed: usize,
     ) -> Result<(), StoreError> {
-        sqlx::query(
+        run!(self,
             "UPDATE run SET ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')), seconds = ?, outcome = ?, done = ?,
-               failed = ? WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?",
-        )
-        .bind(key.begun.elapsed().as_secs_f64())
-        .bind(outcome)
-        .bind(done as i64)
-        .bind(failed as i64)
-        .bind(key.sweep)
-        .bind(&key.started_at)
-        .bind(&key.host)
-        .bind(key.shard.0)
-        .bind(key.shard.1)
-        .execute(&mut self.connection)
-        .await
+               failed = ? WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?";
+            key.begun.elapsed().as_secs_f64(), outcome, done as i64, failed as i64, key.sweep, &key.started_at,
+            &key.host, key.shard.0, key.shard.1)
         .map_err(self.at("recording a run in"))?;
         Ok(())
     }

@@ -23,24 +23,19 @@ impl Store {
         let at = self.at("recording the sweep in");
         let facts = "SELECT EXISTS (SELECT 1 FROM elsewhere)";
         if sqlx::query_scalar(facts).fetch_one(&mut self.connection).await.map_err(&at)? {
-            return Err(StoreError::FactsAlone { path: self.path.clone() });
+            return Err(StoreError::FactsAlone(self.path.clone()));
         }
         // Recorded forces of all trials move together, so the first trial represents all.
         let first = trials.first().map(|t| serde_json::to_string(&t.spec).expect("a trial is JSON"));
         let hashes: Vec<&str> = trials.iter().map(|t| t.hash.as_str()).collect();
-        let known: Option<i64> = sqlx::query_scalar(
+        let known: Option<i64> = bound!(sqlx::query_scalar(
             "SELECT s.id FROM sweep s WHERE s.name = ?1 AND s.text = ?2
              AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4)
              AND ?5 = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)
              AND ?5 = (SELECT count(*) FROM json_each(?6) j JOIN trial t ON t.hash = j.value AND t.training IS NOT NULL
-                       JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id AND json_valid(t.spec))",
-        )
-        .bind(&spec.name)
-        .bind(text)
-        .bind(&first)
-        .bind(trials.first().map(|t| &t.hash))
-        .bind(trials.len() as i64)
-        .bind(serde_json::to_string(&hashes).expect("texts are JSON"))
+                       JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id AND json_valid(t.spec))");
+            &spec.name, text, &first, trials.first().map(|t| &t.hash), trials.len() as i64,
+            serde_json::to_string(&hashes).expect("texts are JSON"))
         .fetch_optional(&mut self.connection)
         .await
         .map_err(&at)?;
@@ -49,15 +44,11 @@ impl Store {
             let resolved = serde_json::to_string(spec).expect("a spec is JSON");
             // Ids decrease: `v_trial` shows the sweep with the highest id, which is the first with the trial.
             let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
-            let id: i64 = sqlx::query_scalar(
+            let id: i64 = bound!(sqlx::query_scalar(
                 "INSERT INTO sweep (id, name, text, spec, version, created_at)
                  VALUES ((SELECT coalesce(min(id), 1) - 1 FROM sweep), ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
-                 ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id",
-            )
-            .bind(&spec.name)
-            .bind(text)
-            .bind(resolved)
-            .bind(VERSION)
+                 ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id");
+                &spec.name, text, resolved, VERSION)
             .fetch_one(&mut *tx)
             .await
             .map_err(&at)?;
@@ -82,14 +73,11 @@ impl Store {
 
     /// Reopens the failed and cancelled trials among these; they resume from their last steps. Returns their number.
     pub async fn reopen(&mut self, hashes: &[&str]) -> Result<u64, StoreError> {
-        let done = sqlx::query(
+        let done = run!(self,
             "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
-               AND hash IN (SELECT value FROM json_each(?))",
-        )
-        .bind(serde_json::to_string(hashes).expect("texts are JSON"))
-        .execute(&mut self.connection)
-        .await
-        .map_err(|source| StoreError::sql(&self.path, "reopening trials in", source))?;
+               AND hash IN (SELECT value FROM json_each(?))";
+            serde_json::to_string(hashes).expect("texts are JSON"))
+        .map_err(self.at("reopening trials in"))?;
         Ok(done.rows_affected())
     }
 
@@ -98,7 +86,7 @@ impl Store {
         sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
             .fetch_all(&mut self.connection)
             .await
-            .map_err(|source| StoreError::sql(&self.path, "reading", source))
+            .map_err(self.at("reading"))
     }
 
     /// Errors and CPU seconds of all trials that are done or failed.
@@ -110,7 +98,7 @@ impl Store {
         )
         .fetch_all(&mut self.connection)
         .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        .map_err(self.at("reading"))?;
         let found = |(hash, initial, optimised, seconds): Row| TrialErrors {
             hash,
             errors: [initial, optimised],

@@ -53,7 +53,7 @@ impl From<StoreError> for InputError {
     fn from(e: StoreError) -> Self {
         match e {
             StoreError::Sql { source, .. } if store::is_shortage(&source) => Self::Shortage(source),
-            StoreError::NotCopied { source, .. } => source.into(),
+            StoreError::NotCopied(_, source) => source.into(),
             e => Self::Input(chain(&e)),
         }
     }
@@ -76,7 +76,7 @@ impl Input {
         } else if store::has_journal(&file) {
             match crate::reader::copy_with_journal(&file, copy) {
                 // a run has started since
-                Err(StoreError::InUse { .. }) => return Err(InputError::Changed),
+                Err(StoreError::InUse(..)) => return Err(InputError::Changed),
                 copied => copied?,
             }
             checkpoint_log(copy, true).await?;
@@ -143,7 +143,7 @@ pub(super) async fn checkpoint_log(file: &Path, alone: bool) -> Result<(), Store
     connection.close().await.map_err(at)?;
     match folded.0 {
         0 => Ok(()),
-        _ => Err(StoreError::InUse { path: file.to_owned() }),
+        _ => Err(StoreError::InUse(file.to_owned())),
     }
 }
 

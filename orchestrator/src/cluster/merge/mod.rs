@@ -113,7 +113,7 @@ pub enum MergeError {
 impl MergeError {
     /// Whether a run or another merge uses the result.
     pub(super) fn is_in_use(&self) -> bool {
-        matches!(self, Self::Store(StoreError::InUse { .. }))
+        matches!(self, Self::Store(StoreError::InUse(..)))
     }
 }
 
@@ -165,10 +165,10 @@ async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Sum
 fn keep_writers_out(out: &Path) -> Result<File, MergeError> {
     match store::lock(out, true) {
         // Continue on file systems without locks.
-        Err(StoreError::Unwritable { source, .. }) if has_no_locks(&source) => {
+        Err(StoreError::Unwritable(_, source)) if has_no_locks(&source) => {
             File::open(out).map_err(|source| MergeError::Unwritable { path: out.to_owned(), source })
         }
-        Err(StoreError::Unwritable { path, source }) => Err(MergeError::Unwritable { path, source }),
+        Err(StoreError::Unwritable(path, source)) => Err(MergeError::Unwritable { path, source }),
         locked => Ok(locked?),
     }
 }
@@ -193,11 +193,11 @@ async fn merge_in(
     };
     check_result(out)
         .await
-        .map_err(|e| if let StoreError::InUse { .. } = e { e.into() } else { of_result(e) })?;
+        .map_err(|e| if let StoreError::InUse(..) = e { e.into() } else { of_result(e) })?;
     let ([facts, whole], known) =
         read_sources(out).await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
     match extent {
-        Extent::Whole if facts => return Err(of_result(StoreError::FactsAlone { path: out.to_owned() })),
+        Extent::Whole if facts => return Err(of_result(StoreError::FactsAlone(out.to_owned()))),
         Extent::Facts if whole => return Err(MergeError::NotFacts(out.to_owned())),
         _ => {}
     }
@@ -300,7 +300,7 @@ async fn check_result(out: &Path) -> Result<(), StoreError> {
 async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     if !store::is_still(lock, out) {
-        return Err(StoreError::InUse { path: out.to_owned() }.into());
+        return Err(StoreError::InUse(out.to_owned()).into());
     }
     input::checkpoint_log(out, false).await?;
     for journal in ["-wal", "-shm"] {
