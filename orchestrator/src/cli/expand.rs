@@ -8,13 +8,14 @@ use metasense_worker::simd::name;
 use serde_json::Value;
 
 use super::named::Spec;
+use super::point::values_at;
 use super::simd::Simd;
 use super::{Error, Format, print_rows};
 use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
 use crate::export::ligament::impossible;
 use crate::look::{Table, number, row};
-use crate::plan::{Trial, cost, counted, values_at};
+use crate::plan::{Trial, cost, counted};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 ///

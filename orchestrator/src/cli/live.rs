@@ -8,12 +8,13 @@ use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation, TrialResult, mean, most_above};
 use tokio::sync::Notify;
 
+use super::point::point_in_words;
 use super::{duration, is_live};
 use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::files::host;
 use crate::look::short_hash;
-use crate::plan::{Trial, counted, point_in_words};
+use crate::plan::{Trial, counted};
 use crate::provenance;
 use crate::scheduler::{Outcome, UNFIT_DEATHS};
 

@@ -15,11 +15,12 @@ use metasense_worker::run::Failure;
 use metasense_worker::{design, problem};
 
 use super::Error;
+use super::spec_body::SpecBody;
 use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
 use crate::files;
 use crate::look::Table;
-use crate::plan::{Plan, SpecBody, Trial, counted};
+use crate::plan::{Plan, Trial, counted};
 use crate::reader::{Reader, StoredTrial, quoted};
 use crate::store::StoreError;
 

@@ -7,10 +7,11 @@ use metasense_schemas::reason::CANCELLED;
 use metasense_schemas::spec::TrialSpec;
 use serde_json::{Value, json};
 
+use super::point::values_at;
 use super::{Error, Format, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::look::Table;
-use crate::plan::{Plan, counted, values_at};
+use crate::plan::{Plan, counted};
 use crate::provenance;
 use crate::reader::{Reader, quoted};
 

@@ -8,6 +8,7 @@ use metasense_schemas::spec::Sweep;
 use serde_json::{Value, json};
 
 use super::named::{Database, Named};
+use super::point::point_in_words;
 use super::{Error, Format, print_rows};
 use crate::cluster::Assignment;
 use crate::cluster::queue;
@@ -15,7 +16,7 @@ use crate::cluster::state::{self, State};
 use crate::control::is_held;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::plan::{Trial, counted, point_in_words};
+use crate::plan::{Trial, counted};
 use crate::progress::FAILED;
 use crate::provenance;
 use crate::reader::{Nearest, Reader, quoted};

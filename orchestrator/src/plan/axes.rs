@@ -6,7 +6,7 @@ use metasense_source::{KnownKeys, Source, SpecError};
 use serde_json::{Map, Value};
 
 /// The spec at one value per axis.
-pub(super) struct Combination {
+pub(crate) struct Combination {
     pub spec: SweepSpec,
     /// Entries of `exclude` that match the axes, without the keys of the axes.
     excludes: Vec<Map<String, Value>>,
@@ -32,7 +32,7 @@ impl Exclusion {
 }
 
 impl Combination {
-    pub fn exclusions(&self, panels: usize, sensors: usize) -> Vec<Exclusion> {
+    pub(super) fn exclusions(&self, panels: usize, sensors: usize) -> Vec<Exclusion> {
         let agrees = |entry: &Map<String, Value>, key: &str, n: usize| {
             entry.get(key).is_none_or(|v| v.as_u64() == Some(n as u64))
         };
@@ -48,7 +48,7 @@ impl Combination {
 }
 
 /// All combinations of points and axis values. The last axis by name varies fastest, points slowest.
-pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Combination>, SpecError> {
+pub(crate) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Combination>, SpecError> {
     let axes: Vec<(&str, &Vec<Value>)> = spec.sweep.axes.iter().map(|(path, v)| (path.as_str(), v)).collect();
     check_points(spec, source)?;
     check_excludes(spec, source)?;

@@ -4,7 +4,8 @@ use metasense_schemas::spec::SweepSpec;
 use metasense_source::{Source, SpecError};
 
 use super::axes::{self, Combination};
-use super::{brains, check_sweep, goal, until};
+use super::check::check_sweep;
+use super::{brains, goal, until};
 
 /// A parsed sweep.
 pub(super) struct Combinations {

@@ -14,7 +14,7 @@ use metasense_worker::problem::{Invalid, sheet};
 ///
 /// # Errors
 /// If a size is invalid or belongs to the other layout; if the material is missing or given twice.
-pub(super) fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
+pub(crate) fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     // keep the material, which says what to cast
     let body = Body { material: spec.body.material, ..sheet(&spec.body)? };
     let mut spec = SweepSpec { body, ..spec.clone() };

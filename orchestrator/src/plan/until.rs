@@ -15,18 +15,14 @@ pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, Sp
     let Some(until) = &spec.until else { return Ok(spec) };
     let part = |x: Option<f64>| x.is_none_or(|x| x > 0.0 && x.is_finite());
     let count = |n: Option<usize>| n.is_none_or(|n| (1..=1000).contains(&n));
-    for (key, holds, remedy) in [
+    source.require(&[
         ("until.paired", part(until.paired), "must be a number above 0"),
         ("until.within", part(until.within), "must be a number above 0"),
         ("until.confidence", (0.5..1.0).contains(&until.confidence), "must lie in [0.5, 1)"),
         ("until.at_most.placements", count(until.at_most.placements), "must be at least 1, at most 1000"),
         ("until.at_most.seeds", count(until.at_most.seeds), "must be at least 1, at most 1000"),
         ("until.at_most.hours", part(until.at_most.hours), "must be a number above 0"),
-    ] {
-        if !holds {
-            return Err(source.error(key, remedy));
-        }
-    }
+    ])?;
     spec.sweep.placements = until.at_most.placements.unwrap_or(spec.sweep.placements);
     if let Some(most) = until.at_most.seeds {
         spec.sweep.seeds.truncate(most);

@@ -309,6 +309,17 @@ impl Source {
         self.located(place, key.to_owned(), what)
     }
 
+    /// Checks conditions, each given as key, whether it holds, and remedy.
+    ///
+    /// # Errors
+    /// For the first key whose condition does not hold.
+    pub fn require(&self, conditions: &[(&str, bool, &str)]) -> Result<(), SpecError> {
+        match conditions.iter().find(|(_, holds, _)| !holds) {
+            Some((key, _, remedy)) => Err(self.error(key, remedy)),
+            None => Ok(()),
+        }
+    }
+
     /// Returns the original place of a key of the merged text. Repeated keys, in lists of tables, are matched by index.
     fn origin(&self, place: &Place) -> Option<&Place> {
         let same = |p: &&Place| p.key == place.key;

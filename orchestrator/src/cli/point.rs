@@ -1,0 +1,28 @@
+//! A trial's point of the sweep as cells and as text.
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+
+use crate::cell::plain;
+
+/// Values of a trial's spec at the given keys; lists and tables as text, missing keys as null.
+pub fn values_at(spec: &Value, keys: &BTreeSet<&str>) -> Vec<Value> {
+    let value = |key: &&str| match spec.pointer(&format!("/{}", key.replace('.', "/"))) {
+        None => Value::Null,
+        Some(value @ (Value::Array(_) | Value::Object(_))) => value.to_string().into(),
+        Some(scalar) => scalar.clone(),
+    };
+    keys.iter().map(value).collect()
+}
+
+/// Text with a trial's K, M, placement, seed, and its values of `keys`.
+pub fn point_in_words(spec: &Value, keys: &BTreeSet<&str>) -> String {
+    let point = |name: &str| plain(&spec["point"][name]);
+    let [k, m, placement, seed] = ["panels", "sensors", "placement", "seed"].map(point);
+    let mut words = format!("K={k} M={m} placement {placement} seed {seed}");
+    for (key, value) in keys.iter().zip(values_at(spec, keys)).filter(|(_, value)| !value.is_null()) {
+        words += &format!(" {key}={}", plain(&value));
+    }
+    words
+}
