@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 
 use metasense::analysis::goal::{BEGIN, LEAST_RESULTS, WORTH, WORTH_LAST};
 use metasense::plan::goal::RUNGS;
-use metasense_source::{measured_schema, spec_schema};
+use metasense_lab::measured::measured_schema;
+use metasense_source::spec_schema;
 use serde_json::Value;
 
 use super::table;

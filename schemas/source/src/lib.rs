@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use metasense_schemas::spec::{Measured, SweepSpec};
+use metasense_schemas::spec::SweepSpec;
 
 mod keys;
 mod layers;
@@ -411,12 +411,6 @@ fn no_axis(name: &str, known: &KnownKeys) -> String {
 #[must_use]
 pub fn spec_schema() -> Value {
     schemars::schema_for!(SweepSpec).to_value()
-}
-
-/// Returns the JSON schema of a file of measured records.
-#[must_use]
-pub fn measured_schema() -> Value {
-    schemars::schema_for!(Measured).to_value()
 }
 
 /// Formats a long number with an exponent.

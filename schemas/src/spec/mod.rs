@@ -6,7 +6,6 @@ mod body;
 mod external;
 mod feasible;
 mod goal;
-mod measured;
 mod optimise;
 mod sensors;
 mod solver;
@@ -23,7 +22,6 @@ pub use body::{
 pub use external::{BodyKind, Constraint, Description};
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
-pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals, Start};
 pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
     Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail, Task,

@@ -1,6 +1,6 @@
 //! Measured records: forces, and the signals of a body's sensors, on the clock of a trial.
 //!
-//! A TOML file (`spec::Measured`) describes the columns. A trigger shifts a whole record. Signals at the rate of the trial's
+//! A TOML file (`keys::Measured`) describes the columns. A trigger shifts a whole record. Signals at the rate of the trial's
 //! clock are not interpolated: the record is shifted by less than half a step, so that readings fall on instants. Signals at
 //! another rate pass a low-pass, with their first and last value held outside the record.
 
@@ -10,11 +10,21 @@ use std::path::{Path, PathBuf};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::identify::{between, margin};
 use metasense_numerics::stimuli::{anti_aliased, resample};
-use metasense_schemas::spec::{self, Augment, Channel, Resample, Start, TrialSpec};
+use metasense_schemas::spec::{self, Augment, Channel, Resample, TrialSpec};
 use metasense_source::{Source, SpecError};
 use metasense_worker::files::Form;
 use metasense_worker::invalid::{Invalid, invalid, positive};
 use metasense_worker::records::{self, Pick, Record, fingerprint};
+
+mod keys;
+
+pub use keys::{AccelerationUnit, AngularVelocityUnit, Start};
+
+/// Returns the JSON schema of a file of measured records.
+#[must_use]
+pub fn measured_schema() -> serde_json::Value {
+    schemars::schema_for!(keys::Measured).to_value()
+}
 
 /// Measured records of one body.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,17 +96,17 @@ pub struct Raw {
 /// The records of a description.
 pub struct Described {
     /// The description.
-    pub spec: spec::Measured,
+    pub spec: keys::Measured,
     /// Per record, its data or the fault, in file order.
     pub records: Vec<Result<Raw, String>>,
 }
 
 /// Parses a description of records.
-fn described(file: &Path) -> Result<(Source, spec::Measured), MeasuredError> {
+fn described(file: &Path) -> Result<(Source, keys::Measured), MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
     let source = Source::new(file, text)?;
-    let mut spec: spec::Measured = source.parse_as()?;
+    let mut spec: keys::Measured = source.parse_as()?;
     let folder = file.parent().unwrap_or(Path::new(""));
     let paths = spec.recorded.files.iter_mut().chain(spec.signals.files.iter_mut().flatten());
     paths.for_each(|path| *path = folder.join(&path));
@@ -136,17 +146,18 @@ pub fn read_raw(file: &Path, trial: &TrialSpec) -> Result<Described, MeasuredErr
 
 /// Passes each record to `each`, which may reject it. `whole`: signals must cover the sample.
 fn raw(
-    spec: &spec::Measured,
+    spec: &keys::Measured,
     trial: &TrialSpec,
     whole: bool,
     each: &mut dyn FnMut(Result<Raw, Invalid>) -> Result<(), Invalid>,
 ) -> Result<(), Invalid> {
-    let spec::Measured { recorded, signals } = spec;
+    let keys::Measured { recorded, signals } = spec;
     check(recorded, signals, trial)?;
     let (panels, channels, duration) = (trial.panel_units.len(), trial.signals(), trial.time.duration);
     let picks = [Pick::forces(recorded, "recorded"), pick(recorded, signals, channels)];
     let [of_forces, of_signals] = picks.each_ref().map(Pick::read);
-    let own = Form::of_signals(signals, of_signals.clone());
+    let keys::MeasuredSignals { header, separator, decimal, .. } = *signals;
+    let own = Form::of_signals(header, separator, decimal, of_signals.clone());
     let read = match &signals.files {
         Some(_) => of_forces,
         None => of_forces.zip(of_signals).map(|(forces, signals)| [forces, signals].concat()),
@@ -219,8 +230,8 @@ fn raw(
     Ok(())
 }
 
-fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
-    let spec::Measured { recorded, signals } = spec;
+fn measured(spec: &keys::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
+    let keys::Measured { recorded, signals } = spec;
     let panels = trial.panel_units.len();
     let (duration, instants) = (trial.time.duration, trial.time.samples);
     let (mut forces, mut readings, mut starts) = (Vec::new(), Vec::new(), Vec::new());
@@ -310,7 +321,7 @@ fn check_margin(deviation: f64, forces: &Forces, time: spec::Time) -> Result<(),
 
 /// Checks the lengths of keys with one entry per record.
 fn check_counts(
-    spec::Measured { recorded, signals }: &spec::Measured,
+    keys::Measured { recorded, signals }: &keys::Measured,
     forces: &[&Record],
     count: usize,
     trial: &TrialSpec,
@@ -371,7 +382,7 @@ fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String)
 
 fn check(
     recorded: &spec::Recorded,
-    signals: &spec::MeasuredSignals,
+    signals: &keys::MeasuredSignals,
     trial: &TrialSpec,
 ) -> Result<(), Invalid> {
     records::check(recorded)?;
@@ -423,7 +434,7 @@ fn check(
 }
 
 /// Signals of a file; without a clock of their own they use that of the forces.
-fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, channels: usize) -> Pick<'a> {
+fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a keys::MeasuredSignals, channels: usize) -> Pick<'a> {
     let (time, rate) = match (&signals.time, signals.rate) {
         (None, None) => (recorded.time.as_ref(), recorded.rate),
         (time, rate) => (time.as_ref(), rate),
@@ -441,7 +452,7 @@ fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, ch
 
 /// Checks the number of signals, and their length if they share the clock of the forces.
 fn fit(
-    signals: &spec::MeasuredSignals,
+    signals: &keys::MeasuredSignals,
     force: &Record,
     signal: &Record,
     trial: &TrialSpec,
@@ -463,7 +474,7 @@ fn fit(
 }
 
 /// Factor per channel to mm/s² and rad/s.
-fn factors(signals: &spec::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
+fn factors(signals: &keys::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
     let units = [signals.acceleration_unit.factor(), signals.angular_velocity_unit.factor()];
     let own = |c: usize| signals.factors.as_ref().map_or(1.0, |factors| factors[c]);
     let read = trial.sensors.read().iter().cycle().take(trial.signals()).enumerate();

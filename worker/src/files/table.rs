@@ -3,7 +3,7 @@
 //! [`Form`] can leave separator, decimal mark and header open. The parser then uses the only choice that gives numbers in the
 //! columns that it reads. If several choices give different numbers, it rejects the file.
 
-use metasense_schemas::spec::{Decimal, MeasuredSignals, Recorded, Separator, Signal};
+use metasense_schemas::spec::{Decimal, Recorded, Separator, Signal};
 
 use super::{Array, text};
 
@@ -38,8 +38,12 @@ impl<'a> Form<'a> {
 
     /// Form of files that contain only signals.
     #[must_use]
-    pub fn of_signals(signals: &MeasuredSignals, read: Option<Vec<&'a Signal>>) -> Self {
-        let MeasuredSignals { header, separator, decimal, .. } = *signals;
+    pub fn of_signals(
+        header: Option<bool>,
+        separator: Option<Separator>,
+        decimal: Option<Decimal>,
+        read: Option<Vec<&'a Signal>>,
+    ) -> Self {
         Self { header, separator, decimal, read, keys: Some("signals") }
     }
 

@@ -1,10 +1,11 @@
 //! Texts of findings: the fault, the measured values, and the key or option that corrects it.
 
 use metasense_numerics::student::median;
-use metasense_schemas::spec::{AccelerationUnit, AngularVelocityUnit, ForceUnit, Start};
+use metasense_schemas::spec::ForceUnit;
 use metasense_worker::invalid::as_written;
 
 use super::{Described, Looked};
+use crate::measured::{AccelerationUnit, AngularVelocityUnit, Start};
 use crate::questions::check::{ChannelFinding, Explanation, RecordFinding};
 
 /// Severity of a finding.

@@ -1,4 +1,4 @@
-//! The file of measured records: forces, and the sensor signals that they caused.
+//! The keys of a file of measured records: forces, and the sensor signals that they caused.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 
-use super::{Decimal, Recorded, Separator, Signal, TimeUnit};
+use metasense_schemas::spec::{Decimal, Recorded, Separator, Signal, TimeUnit};
 
 /// Forces, as in a spec, and signals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
