@@ -12,6 +12,7 @@ pub mod compare;
 pub mod data;
 pub mod decision;
 pub mod elbow;
+pub mod forecast;
 pub mod goal;
 pub mod kinds;
 pub mod numbers;

@@ -7,7 +7,6 @@
 mod begin;
 mod clock;
 mod database;
-mod forecast;
 mod links;
 mod signals;
 mod spent;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{StepRecord, TrialResult};
 
-use super::forecast::{Forecast, Planned};
+use crate::analysis::forecast::{Forecast, Planned};
 use crate::control::Command;
 use crate::plan::Trial;
 use crate::scheduler::{Outcome, Prior, Settings};

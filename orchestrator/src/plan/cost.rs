@@ -1,6 +1,6 @@
 //! Estimates the time of a trial before it runs: counts of operations over the speed of one core of this machine.
 //!
-//! During a run, measured times correct the estimate (`engine::forecast`).
+//! During a run, measured times correct the estimate (`analysis::forecast`).
 
 use std::collections::HashSet;
 

@@ -9,9 +9,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;
 
-use metasense_schemas::record::Parts;
-
-use crate::plan::Trial;
+use metasense_schemas::record::{Parts, Trial};
 
 /// With more open trials than this, the work is divided evenly among workers.
 const ONE_BY_ONE: usize = 2000;
