@@ -22,6 +22,7 @@ pub mod rounds;
 pub mod scheduler;
 pub mod serve;
 pub mod spool;
+mod sql;
 pub mod store;
 
 pub use metasense_analysis as analysis;

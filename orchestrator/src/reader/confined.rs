@@ -8,7 +8,8 @@ use libsqlite3_sys as ffi;
 
 use super::allow::{AccessLevel, allow};
 use super::{QueryResult, Reader};
-use crate::store::{OPENING, Scalar, StoreError, add, resolve_links};
+use crate::sql::{self, Scalar};
+use crate::store::{OPENING, StoreError, resolve_links};
 
 /// Limits of an answer.
 #[derive(Debug, Clone, Copy)]
@@ -51,7 +52,7 @@ impl Reader {
         let mut reader = Self::open_file(path.clone(), Some(ROWS_AHEAD)).await?;
         reader.allowed = AccessLevel::Confined;
         allow(&mut reader.connected.connection, reader.allowed).await.map_err(at)?;
-        add(&mut reader.connected.connection, &SLOW, &[]).await.map_err(at)?;
+        sql::add(&mut reader.connected.connection, &SLOW, &[]).await.map_err(at)?;
         let mut handle = reader.connected.connection.lock_handle().await.map_err(at)?;
         let db = handle.as_raw_handle().as_ptr();
         // SAFETY: the handle is locked and open.

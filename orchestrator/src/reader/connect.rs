@@ -12,8 +12,9 @@ use tempfile::TempDir;
 use super::allow::{AccessLevel, allow};
 use crate::files;
 use crate::leftovers;
+use crate::sql;
 use crate::store::{
-    OPENING, StoreError, check_version, has_journal, is_not_opened, is_still, options, register, sidecar,
+    OPENING, StoreError, check_version, has_journal, is_not_opened, is_still, options, sidecar,
 };
 
 /// A read-only connection and what it reads.
@@ -41,7 +42,7 @@ pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connecte
     if check_version(&mut found.connection, path).await? == 0 {
         return Err(StoreError::NotOurs(path.to_owned()));
     }
-    register(&mut found.connection).await.map_err(at)?;
+    sql::register(&mut found.connection).await.map_err(at)?;
     allow(&mut found.connection, AccessLevel::Reading).await.map_err(at)?;
     Ok(found)
 }

@@ -20,7 +20,6 @@ mod designs;
 mod digest;
 mod disk;
 mod error;
-mod functions;
 mod lock;
 mod log;
 mod presence;
@@ -42,11 +41,12 @@ use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
+use crate::sql;
+
 pub(crate) use designs::NAME as KEPT_DESIGNS;
 pub(crate) use digest::check;
 pub use error::StoreError;
 pub(crate) use error::{OPENING, is_no_json, is_not_opened, is_shortage, is_trouble};
-pub(crate) use functions::{Scalar, add, add_blake3, register};
 pub(crate) use lock::{has_journal, is_still, lock, resolve_links, sidecar};
 pub use log::Level;
 pub use metasense_worker::files::{npy_bytes, npy_values};
@@ -95,7 +95,7 @@ impl Store {
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         wait::wait_on(&mut connection).await.map_err(at)?;
-        register(&mut connection).await.map_err(at)?;
+        sql::register(&mut connection).await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;

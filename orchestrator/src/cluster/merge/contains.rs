@@ -5,7 +5,7 @@ use std::path::Path;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 
 use super::{copy, input};
-use crate::store;
+use crate::{sql, store};
 
 /// Pairs trials and sweeps of the part with those of the whole.
 const PAIRS: &str = "
@@ -46,7 +46,7 @@ pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
         return Ok(false);
     }
     let mut db = store::options(whole).read_only(true).immutable(true).connect().await?;
-    store::add_blake3(&mut db).await?;
+    sql::add_blake3(&mut db).await?;
     sqlx::query("ATTACH ? AS src").bind(input::uri(part)).execute(&mut db).await?;
     let version: i64 = sqlx::query_scalar("PRAGMA main.user_version").fetch_one(&mut db).await?;
     let other: i64 = sqlx::query_scalar("PRAGMA src.user_version").fetch_one(&mut db).await?;

@@ -10,7 +10,7 @@ use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
 
 use super::Extent;
-use crate::store;
+use crate::{sql, store};
 
 /// Tables with most of the bytes of a trial; all others contain its facts.
 const BULK: [&str; 4] = ["step", "curve", "artifact", "checkpoint"];
@@ -27,7 +27,7 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
         .pragma("temp_store", "FILE")
         .connect()
         .await?;
-    store::add_blake3(&mut out).await?;
+    sql::add_blake3(&mut out).await?;
     let version = store::version(&mut out).await? as usize;
     store::add_schema(&mut out, version).await?;
     out.execute(
