@@ -7,9 +7,11 @@
 mod bodies;
 mod event;
 mod shortage;
+mod slot;
 mod steer;
 #[cfg(test)]
 mod tests;
+mod trial;
 
 use std::collections::BTreeSet;
 
@@ -17,28 +19,17 @@ use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
 pub use event::{Action, Event, Outcome, Payload, RecordKind};
+pub use slot::WorkerId;
 pub use steer::{Steer, SteerAnswer, SteerRefusal};
+pub use trial::{Phase, Prior};
 
 use bodies::Bodies;
 use shortage::Shortage;
+use slot::{Slot, SlotState, with_workers};
+use trial::Trial;
 
 /// Milliseconds since the start of the run.
 pub type Millis = u64;
-
-/// A worker process: its slot and the number of the process in this slot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct WorkerId {
-    /// From 0.
-    pub slot: u32,
-    /// From 1.
-    pub generation: u32,
-}
-
-impl std::fmt::Display for WorkerId {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}.{}", self.slot, self.generation)
-    }
-}
 
 /// Settings of a run.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,106 +76,6 @@ pub const UNRECORDED_MAX: usize = 256;
 pub const UNFIT_DEATHS: u32 = 10;
 /// … if they include this many trials.
 pub const UNFIT_TRIALS: usize = 3;
-
-/// State of a trial at the start of the run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Prior {
-    /// Attempts in earlier runs.
-    pub attempts: u32,
-    /// Steps up to its checkpoint; trials with a checkpoint start first.
-    pub steps: Option<u32>,
-    /// Number of the trial's body. Trials with the same body share its training and its checkpoints.
-    pub body: u32,
-    /// Whether one of these trials has trained the body completely.
-    pub trained: bool,
-}
-
-/// Phase of a trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phase {
-    /// Waits for a worker.
-    Pending,
-    /// Runs on a worker.
-    Running(WorkerId),
-    /// Its result is being written to disk.
-    Recording(WorkerId),
-    /// Its result is on disk.
-    Done,
-    /// Ended without a result.
-    Failed(Reason),
-}
-
-#[derive(Debug, Clone)]
-struct Trial {
-    phase: Phase,
-    attempt: u32,
-    begun: bool,
-    /// Deaths since the last step.
-    deaths: u32,
-    /// Shortages of the machine since the last step.
-    shortages: u32,
-    stepped: bool,
-    body: u32,
-    /// Why the trial must not be finished, if so; its worker is told to stop it.
-    unwanted: Option<Reason>,
-    /// Rank of a trial that a `Next` command moved ahead of the others: the lower, the earlier.
-    first: Option<i64>,
-}
-
-impl Trial {
-    fn new(prior: &Prior) -> Self {
-        Self {
-            phase: Phase::Pending,
-            attempt: prior.attempts,
-            begun: prior.steps.is_some(),
-            deaths: 0,
-            shortages: 0,
-            stepped: false,
-            body: prior.body,
-            unwanted: None,
-            first: None,
-        }
-    }
-
-    /// Rank in the queue, lowest first. Failed attempts move a trial back.
-    fn rank(&self) -> i64 {
-        self.first.unwrap_or(2 * i64::from(self.deaths + self.shortages) + i64::from(!self.begun))
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum SlotState {
-    Empty { until: Millis },
-    Starting { since: Millis },
-    Idle,
-    Busy { lease: Lease, since: Millis, beat: Millis, asked: bool },
-    Ending { lease: Option<Lease>, since: Millis, why: Option<Reason> },
-    GivenUp,
-}
-
-#[derive(Debug, Clone)]
-struct Slot {
-    generation: u32,
-    misfires: u32,
-    /// Results of this worker that are being written to disk.
-    unrecorded: usize,
-    work: SlotState,
-}
-
-impl Slot {
-    const EMPTY: Self =
-        Self { generation: 0, misfires: 0, unrecorded: 0, work: SlotState::Empty { until: 0 } };
-
-    /// Whether its worker has a trial or can get one.
-    fn is_alive(&self) -> bool {
-        matches!(self.work, SlotState::Starting { .. } | SlotState::Idle | SlotState::Busy { .. })
-    }
-}
-
-/// All slots with the ids of their current worker processes.
-fn with_workers(slots: &mut [Slot]) -> impl Iterator<Item = (WorkerId, &mut Slot)> {
-    slots.iter_mut().zip(0..).map(|(state, slot)| (WorkerId { slot, generation: state.generation }, state))
-}
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stopping {
@@ -290,7 +181,6 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         }
     }
     state.stop(out);
-    state.stop_unwanted(out);
     state.shrink(out);
     state.assign(out);
     state.spawn(out);
@@ -372,7 +262,7 @@ impl State {
 
     /// Number of workers that have a trial.
     pub fn busy(&self) -> usize {
-        self.slots.iter().filter(|slot| matches!(slot.work, SlotState::Busy { .. })).count()
+        self.slots.iter().filter(|slot| slot.is_busy()).count()
     }
 
     /// The slot of a worker, if it contains this process.
@@ -440,7 +330,7 @@ impl State {
 
     /// Number of workers that may be started; negative if there are too many.
     fn room(&self) -> isize {
-        let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
+        let alive = self.slots.iter().filter(|slot| slot.is_free() || slot.is_busy()).count();
         self.settings.workers as isize - alive as isize
     }
 
@@ -564,26 +454,27 @@ impl State {
         out.push(Action::RecordFailure { lease, reason, settled });
     }
 
-    /// Stops the workers if the run must end.
+    /// Stops workers: all if the run must end, all that have a trial in a pause, and those of unwanted trials.
     fn stop<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let finished = self.unsettled == 0 || self.unfit().is_some() && self.busy() == 0;
-        if self.stopping == Stopping::No && !finished {
-            return;
-        }
+        let ends = finished || self.stopping != Stopping::No;
         for (worker, slot) in with_workers(&mut self.slots) {
-            let at_once = self.stopping >= Stopping::AtOnce;
             match slot.work {
-                SlotState::Busy { lease, .. } if at_once => {
+                SlotState::Busy { lease, .. } if self.stopping >= Stopping::AtOnce => {
                     slot.work =
                         SlotState::Ending { lease: Some(lease), since: self.now, why: Some(Reason::Stopped) };
                     out.push(Action::Kill(worker));
                 }
-                SlotState::Busy { lease, since, beat, asked: false } => {
+                SlotState::Busy { lease, since, beat, asked: false }
+                    if ends
+                        || self.settings.paused
+                        || self.trials[lease.trial as usize].unwanted.is_some() =>
+                {
                     slot.work = SlotState::Busy { lease, since, beat, asked: true };
                     out.push(Action::AskStop(worker));
                 }
-                SlotState::Idle | SlotState::Starting { .. } => {
-                    slot.work = SlotState::Ending { lease: None, since: self.now, why: None };
+                SlotState::Idle | SlotState::Starting { .. } if ends => {
+                    slot.close(self.now);
                     out.push(Action::Close(worker));
                 }
                 _ => {}
@@ -591,25 +482,12 @@ impl State {
         }
     }
 
-    /// Stops unwanted trials; in a pause, all trials.
-    fn stop_unwanted<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        for (worker, slot) in with_workers(&mut self.slots) {
-            if let SlotState::Busy { lease, asked: asked @ false, .. } = &mut slot.work
-                && (self.settings.paused || self.trials[lease.trial as usize].unwanted.is_some())
-            {
-                *asked = true;
-                out.push(Action::AskStop(worker));
-            }
-        }
-    }
-
     /// Closes surplus idle workers.
     fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let surplus = usize::try_from(-self.room()).unwrap_or(0);
-        let idle =
-            |(_, slot): &(_, &mut Slot)| matches!(slot.work, SlotState::Starting { .. } | SlotState::Idle);
+        let idle = |(_, slot): &(_, &mut Slot)| slot.is_free();
         for (worker, slot) in with_workers(&mut self.slots).filter(idle).take(surplus) {
-            slot.work = SlotState::Ending { lease: None, since: self.now, why: None };
+            slot.close(self.now);
             out.push(Action::Close(worker));
         }
     }
@@ -641,10 +519,10 @@ impl State {
         if !self.may_assign() {
             return;
         }
-        let coming = |slot: &&Slot| matches!(slot.work, SlotState::Starting { .. } | SlotState::Idle);
         let Some(room) = usize::try_from(self.room()).ok().filter(|room| *room > 0) else { return };
         let free = self.assignable().take(self.settings.workers as usize).count() + self.delayed.len();
-        let mut wanted = free.saturating_sub(self.slots.iter().filter(coming).count()).min(room);
+        let coming = self.slots.iter().filter(|slot| slot.is_free()).count();
+        let mut wanted = free.saturating_sub(coming).min(room);
         for (slot, number) in self.slots.iter_mut().zip(0..) {
             if let SlotState::Empty { until } = slot.work
                 && until <= self.now
