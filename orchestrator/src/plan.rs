@@ -31,7 +31,6 @@ pub(crate) use check::{GRACE_MAX, check_placements};
 use combinations::Combinations;
 use files::{described, with_records};
 pub(crate) use files::{with_design, with_file};
-use metasense_schemas::record::Parts;
 pub use metasense_schemas::record::Trial;
 pub(crate) use size::scale_to_size;
 
@@ -113,14 +112,11 @@ impl Plan {
 
 /// All trials of one combination of axes, K and M; they differ in placement and seed.
 struct PointPlan {
-    template: TrialSpec,
+    /// The trials, without placement, seed and hashes.
+    trial: Trial,
     /// Sensor units per placement.
     placements: Vec<Vec<usize>>,
     excluded: Vec<axes::Exclusion>,
-    units: usize,
-    design_parameters: usize,
-    brain_parameters: usize,
-    cost: (Parts<f64>, Parts<u64>),
     training: Training,
 }
 
@@ -214,16 +210,22 @@ fn add_points(
                     .and_then(|problem| records::check_records(&trial, &problem))
                     .map_err(located)?;
             }
-            points.push(PointPlan {
-                placements,
-                excluded,
+            let (cost, weight) = cost::of(&template, layout.units());
+            let training = Training::of(&template);
+            let trial = Trial {
+                hash: String::new(),
+                training: String::new(),
+                order: 0,
                 units: layout.units(),
                 design_parameters: problem::design_parameters(&template, &layout).map_err(located)?,
                 brain_parameters: cost::brain_parameters(&template),
-                cost: cost::of(&template, layout.units()),
-                training: Training::of(&template),
-                template,
-            });
+                trains: true,
+                cost,
+                weight,
+                pause: None,
+                spec: template,
+            };
+            points.push(PointPlan { trial, placements, excluded, training });
         }
     }
     Ok(())
@@ -325,23 +327,11 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 if point.excluded.iter().any(|e| e.holds(placement, seed)) {
                     continue;
                 }
-                let spec = at(&point.template, placement, units, seed);
-                let hash = spec.hash();
+                let spec = at(&point.trial.spec, placement, units, seed);
+                let (hash, training) = (spec.hash(), point.training.at(&spec));
                 // Different axis values may give the same trial.
                 if seen.insert(hash.clone()) {
-                    trials.push(Trial {
-                        hash,
-                        training: point.training.at(&spec),
-                        trains: true,
-                        spec,
-                        order: trials.len(),
-                        units: point.units,
-                        design_parameters: point.design_parameters,
-                        brain_parameters: point.brain_parameters,
-                        cost: point.cost.0,
-                        weight: point.cost.1,
-                        pause: None,
-                    });
+                    trials.push(Trial { hash, training, spec, order: trials.len(), ..point.trial });
                 }
             }
         }
