@@ -23,18 +23,10 @@ const STEM: &str = "metasense-";
 /// A directory without a lock file may belong to a run that is starting, up to this age.
 const BIRTH: Duration = Duration::from_secs(60);
 
-/// Why a run has no directory in shared memory.
+/// A run's directory in shared memory cannot be created.
 #[derive(Debug, thiserror::Error)]
-pub enum RuntimeError {
-    /// The directory cannot be created.
-    #[error("cannot create {}; check that {SHARED_MEMORY} is mounted and writable", path.display())]
-    Unwritable {
-        /// The directory.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-}
+#[error("cannot create {}; check that {SHARED_MEMORY} is mounted and writable", .0.display())]
+pub struct RuntimeError(PathBuf, #[source] io::Error);
 
 /// A run's directory in shared memory; dropping it removes everything in it.
 #[derive(Debug)]
@@ -74,11 +66,11 @@ impl Runtime {
             let path = shared.join(&name);
             match DirBuilder::new().mode(0o700).create(&path) {
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => continue,
-                Err(source) => return Err(RuntimeError::Unwritable { path, source }),
+                Err(source) => return Err(RuntimeError(path, source)),
                 Ok(()) => {}
             }
             let lock = File::create(path.join("lock"));
-            let lock = lock.map_err(|source| RuntimeError::Unwritable { path: path.clone(), source })?;
+            let lock = lock.map_err(|source| RuntimeError(path.clone(), source))?;
             // Between creation and lock, another run may have removed the directory as abandoned.
             if lock.try_lock().is_ok() && path.join("lock").exists() {
                 tracing::info!(place = name, "the run has a directory in {SHARED_MEMORY}");
