@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 
 use crate::common::roll::{Roll, number};
 use crate::common::{Bench, TINY, results};
-use metasense::fleet::children;
 use metasense::plan::Plan;
+use metasense::processes::children;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Specs of six and of eight trials.

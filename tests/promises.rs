@@ -77,7 +77,7 @@ fn a_step_that_takes_too_long_is_not_waited_for() {
     for arguments in ["", "--grace 0.3", "run.grace=0.3"] {
         let run = start(&bench, &format!("run s.toml {arguments} --db s.sqlite"));
         let worker =
-            || children(run.id()).into_iter().find(|pid| metasense::fleet::cpu_seconds(*pid) > Some(0.5));
+            || children(run.id()).into_iter().find(|pid| metasense::processes::cpu_seconds(*pid) > Some(0.5));
         eventually(Duration::from_secs(60), worker).expect("a worker works");
         let asked = Instant::now();
         kill(run.id(), libc::SIGINT);

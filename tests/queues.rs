@@ -249,7 +249,8 @@ fn a_shard_uses_its_notice_for_the_step_in_progress() {
     eventually(Duration::from_secs(60), || log().then_some(())).expect("the shard begins");
     let run = eventually(Duration::from_secs(10), || children(shard.id()).first().copied()).unwrap();
     let worker = eventually(Duration::from_secs(10), || children(run).first().copied()).unwrap();
-    let works = || metasense::fleet::cpu_seconds(worker).is_some_and(|seconds| seconds > 0.5).then_some(());
+    let works =
+        || metasense::processes::cpu_seconds(worker).is_some_and(|seconds| seconds > 0.5).then_some(());
     eventually(Duration::from_secs(60), works).expect("its worker works");
     kill(shard.id(), libc::SIGUSR1);
     eventually(Duration::from_secs(60), handed_in).expect("what there is is handed in");

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::common::processes::{eventually, kill};
 use crate::common::{Bench, SPEC, TINY, results};
-use metasense::fleet::{WorkerProcess, workers_of};
 use metasense::plan::Plan;
+use metasense::processes::{WorkerProcess, workers_of};
 use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_worker::simd::NAMES;

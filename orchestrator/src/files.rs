@@ -1,6 +1,8 @@
 //! Atomic file writes: to a temporary file in the same folder, renamed when complete. Readers find the old or the new file,
 //! even after a power cut.
 
+pub(crate) mod disk;
+
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};

@@ -14,6 +14,7 @@ pub mod fleet;
 pub mod leftovers;
 pub mod link;
 pub mod plan;
+pub mod processes;
 pub mod progress;
 pub mod provenance;
 pub mod reader;

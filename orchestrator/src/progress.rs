@@ -9,8 +9,8 @@ use metasense_worker::process::IDLE;
 use serde_json::{Value, json};
 
 use crate::control::run_of;
-use crate::fleet::{WorkerProcess, workers_of};
 use crate::look::{Table, duration, short_hash};
+use crate::processes::{WorkerProcess, workers_of};
 use crate::reader::Reader;
 use crate::store::StoreError;
 

@@ -74,8 +74,8 @@ pub fn measure_command(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
         command.arg("metasense").args(arguments).stdout(null).stderr(quiet).spawn().map_err(failed)?;
     let (mut cpu, mut most) = (0.0, 0.0f64);
     loop {
-        cpu = fleet::cpu_seconds(child.id()).unwrap_or(cpu).max(cpu);
-        most = most.max(fleet::peak_mib(child.id()).unwrap_or(0.0));
+        cpu = processes::cpu_seconds(child.id()).unwrap_or(cpu).max(cpu);
+        most = most.max(processes::peak_mib(child.id()).unwrap_or(0.0));
         match child.try_wait().map_err(failed)? {
             Some(ended) if ended.success() => return Ok((began.elapsed().as_secs_f64(), cpu, most)),
             Some(ended) => return Err(failed(std::io::Error::other(ended.to_string()))),

@@ -125,5 +125,5 @@ fn pool(threads: usize, width: Width) -> Pool {
 
 /// Peak resident memory of this process (MiB).
 fn peak_mib() -> f64 {
-    metasense::fleet::peak_mib(std::process::id()).unwrap_or(f64::NAN)
+    metasense::processes::peak_mib(std::process::id()).unwrap_or(f64::NAN)
 }

@@ -3,8 +3,6 @@
 //! A worker runs the same program (`/proc/self/exe`), so that both are always the same build. It is killed when the *thread*
 //! that started it ends: call `Fleet::spawn` from a thread that lives as long as the run.
 
-mod processes;
-
 use std::collections::HashMap;
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
@@ -23,8 +21,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-pub use processes::{WorkerProcess, children, cpu_seconds, peak_mib, workers_of};
-
+use crate::processes;
 use crate::scheduler::WorkerId;
 
 /// Starts, watches and ends worker processes.

@@ -18,7 +18,6 @@ macro_rules! run {
 
 mod designs;
 mod digest;
-mod disk;
 mod error;
 mod lock;
 mod log;
@@ -41,7 +40,7 @@ use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
-use crate::sql;
+use crate::{files, sql};
 
 pub(crate) use designs::NAME as KEPT_DESIGNS;
 pub(crate) use digest::check;
@@ -88,7 +87,7 @@ impl Store {
         let file = resolve_links(&path);
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder).map_err(|source| StoreError::Unwritable(path.clone(), source))?;
-        if let Some(system) = disk::network_of(folder) {
+        if let Some(system) = files::disk::network_of(folder) {
             return Err(StoreError::NetworkDisk(path, system));
         }
         let lock = Arc::new(lock(&path, true)?);

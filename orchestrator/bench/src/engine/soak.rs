@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use metasense::engine::{View, Watch};
-use metasense::fleet::children;
 use metasense::plan::Trial;
 use metasense::print_line;
+use metasense::processes::children;
 use metasense_schemas::record::TrialResult;
 use rustix::process::{Pid, Signal, getpid, kill_process};
 use serde_json::json;
