@@ -64,10 +64,7 @@ pub enum ToWorker {
         hash: String,
     },
     /// Finish the current step, or save the comparison, and return the trial. May arrive before the job or after its end.
-    Stop {
-        /// The attempt.
-        lease: Lease,
-    },
+    Stop(Lease),
 }
 
 /// Message to the orchestrator.
@@ -80,45 +77,16 @@ pub enum ToOrchestrator {
         /// Process id of the worker.
         pid: u32,
     },
-    /// An outer step is done.
-    Step {
-        /// The attempt.
-        lease: Lease,
-        /// Record of the step.
-        record: Box<StepRecord>,
-        /// State from which to resume.
-        checkpoint: Box<Checkpoint>,
-    },
-    /// A part of the final comparison is done.
-    Saved {
-        /// The attempt.
-        lease: Lease,
-        /// State from which to resume.
-        checkpoint: Box<Checkpoint>,
-    },
-    /// The trial is done.
-    Finished {
-        /// The attempt.
-        lease: Lease,
-        /// The result, without arrays that were sent separately.
-        result: Box<TrialResult>,
-        /// Arrays in the sample that was sent before this message; empty: none was sent.
-        arrays: Vec<ArrayHead>,
-    },
-    /// The attempt failed.
-    Failed {
-        /// The attempt.
-        lease: Lease,
-        /// The reason.
-        reason: Reason,
-        /// Description.
-        detail: String,
-    },
+    /// An outer step is done; with its record, and the state from which to resume.
+    Step(Lease, Box<StepRecord>, Box<Checkpoint>),
+    /// A part of the final comparison is done; with the state from which to resume.
+    Saved(Lease, Box<Checkpoint>),
+    /// The trial is done; with its result, and the arrays in the sample that was sent before this message (none: no sample).
+    Finished(Lease, Box<TrialResult>, Vec<ArrayHead>),
+    /// The attempt failed; with the reason and a description.
+    Failed(Lease, Reason, String),
     /// The trial is returned after `ToWorker::Stop`.
-    Stopped {
-        /// The attempt.
-        lease: Lease,
-    },
+    Stopped(Lease),
 }
 
 /// An array of a result: the bytes `start..end` of the sample are an NPY file.

@@ -202,20 +202,20 @@ impl Worker {
         loop {
             match wire::receive::<ToWorker>(&self.down)? {
                 Some(ToWorker::Job { lease, .. }) if unwanted == Some(lease) => {
-                    self.send(&ToOrchestrator::Stopped { lease })?;
+                    self.send(&ToOrchestrator::Stopped(lease))?;
                 }
                 // An earlier attempt reached the pause step before the orchestrator knew.
                 Some(ToWorker::Job { lease, checkpoint: Some(done), pause: Some(step), .. })
                     if done.step >= step =>
                 {
-                    self.send(&ToOrchestrator::Stopped { lease })?;
+                    self.send(&ToOrchestrator::Stopped(lease))?;
                 }
                 Some(ToWorker::Job { lease, work, checkpoint, threads, pause, hash }) => {
                     name_process(&hash);
                     self.perform(lease, &work, checkpoint.map(|boxed| *boxed), threads as usize, pause)?;
                     name_process(IDLE);
                 }
-                Some(ToWorker::Stop { lease }) => unwanted = Some(lease),
+                Some(ToWorker::Stop(lease)) => unwanted = Some(lease),
                 None => wire::sleep(&self.sleeper, "waiting for a job")?,
             }
         }
@@ -257,10 +257,10 @@ impl Worker {
         if let Some(error) = reporter.link_error {
             return Err(error);
         }
-        let failed = |reason, detail: String| ToOrchestrator::Failed { lease, reason, detail };
+        let failed = |reason, detail: String| ToOrchestrator::Failed(lease, reason, detail);
         let message = match ended {
             Ok(Ok(result)) => self.finished(lease, result)?,
-            Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped { lease },
+            Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped(lease),
             Ok(Err(Failure::Shortage(detail))) => failed(Reason::Shortage, detail),
             Ok(Err(Failure::Rejected(detail))) if tells_of_shortage(&detail) => {
                 failed(Reason::Shortage, explained(&detail, &Needs::default()))
@@ -284,7 +284,7 @@ impl Worker {
         if !arrays.is_empty() {
             self.send_arrays(&arrays)?;
         }
-        Ok(ToOrchestrator::Finished { lease, result: Box::new(result), arrays: arrays.heads() })
+        Ok(ToOrchestrator::Finished(lease, Box::new(result), arrays.heads()))
     }
 
     /// Loans a chunk, writes the arrays into it and sends it. Waits while the orchestrator holds all its chunks.
@@ -405,7 +405,7 @@ impl Reporter<'_> {
 
     fn listen(&mut self) {
         match wire::receive::<ToWorker>(&self.worker.down) {
-            Ok(Some(ToWorker::Stop { lease })) => self.stop |= lease == self.lease,
+            Ok(Some(ToWorker::Stop(lease))) => self.stop |= lease == self.lease,
             Ok(_) => {}
             Err(error) => self.link_error = Some(error),
         }
@@ -429,11 +429,11 @@ impl Observe for Reporter<'_> {
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
         let (record, checkpoint) = (Box::new(record), Box::new(checkpoint));
         self.stop |= self.pause.is_some_and(|step| checkpoint.step >= step);
-        self.tell(&ToOrchestrator::Step { lease: self.lease, record, checkpoint });
+        self.tell(&ToOrchestrator::Step(self.lease, record, checkpoint));
         self.current_control()
     }
 
     fn save(&mut self, checkpoint: Checkpoint) {
-        self.tell(&ToOrchestrator::Saved { lease: self.lease, checkpoint: Box::new(checkpoint) });
+        self.tell(&ToOrchestrator::Saved(self.lease, Box::new(checkpoint)));
     }
 }

@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 use metasense::cli::Error;
 use metasense::exit::Exit;
-use metasense::fleet;
 use metasense::plan::Plan;
 use metasense::print_line;
+use metasense::processes;
 use metasense::store::{Store, npy_bytes};
 use serde_json::json;
 

@@ -361,7 +361,7 @@ impl Engine<'_> {
             Action::Answer(asker, answer) => self.answered(asker, answer),
             Action::AskStop(worker) => {
                 if let (Some(link), Some(&lease)) = (self.links.get(&worker), self.leases.get(&worker))
-                    && !link.line.send(&ToWorker::Stop { lease }).is_ok_and(|sent| sent)
+                    && !link.line.send(&ToWorker::Stop(lease)).is_ok_and(|sent| sent)
                 {
                     self.fleet.kill(worker);
                 }
@@ -473,14 +473,14 @@ impl Engine<'_> {
                 return;
             }
             ToOrchestrator::Hello { .. } => Event::Up(worker),
-            ToOrchestrator::Step { lease, record, checkpoint } => {
+            ToOrchestrator::Step(lease, record, checkpoint) => {
                 let steps =
                     self.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
                 let trained = checkpoint.step as usize >= steps.max(1);
                 Event::Step(worker, lease, trained, (record, Arc::from(checkpoint)))
             }
-            ToOrchestrator::Saved { lease, checkpoint } => Event::Saved(worker, lease, Arc::from(checkpoint)),
-            ToOrchestrator::Finished { lease, result, arrays: heads } => {
+            ToOrchestrator::Saved(lease, checkpoint) => Event::Saved(worker, lease, Arc::from(checkpoint)),
+            ToOrchestrator::Finished(lease, result, heads) => {
                 let mut arrays = sample.map(|sample| Arrays { heads, sample });
                 if !self.options.keep_arrays
                     && let Some(arrays) = arrays.take()
@@ -489,13 +489,13 @@ impl Engine<'_> {
                 }
                 Event::Finished(worker, lease, (result, arrays))
             }
-            ToOrchestrator::Failed { lease, reason, detail } => {
+            ToOrchestrator::Failed(lease, reason, detail) => {
                 let trial = self.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
                 tracing::error!(trial, lease.attempt, %reason, detail, "the worker reported a failure of the trial");
                 self.details.insert(lease, detail);
                 Event::Failed(worker, lease, reason)
             }
-            ToOrchestrator::Stopped { lease } => {
+            ToOrchestrator::Stopped(lease) => {
                 let due = self.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
                 let done = self.priors.get(lease.trial as usize).and_then(|prior| prior.steps);
                 let paused = due.zip(done).is_some_and(|(due, done)| done >= due);

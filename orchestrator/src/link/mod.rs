@@ -160,7 +160,7 @@ impl Receivers {
         }
         while let Some(message) = wire::receive::<ToOrchestrator>(&self.up)? {
             let arrays = match &message {
-                ToOrchestrator::Finished { arrays, .. } if !arrays.is_empty() => {
+                ToOrchestrator::Finished(.., arrays) if !arrays.is_empty() => {
                     Some(wire::receive_arrays(&self.arrays, arrays, HOLD_MAX)?)
                 }
                 _ => None,
