@@ -8,6 +8,8 @@ use std::time::Duration;
 use iceoryx2::config::Config;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::listener::ListenerWaitError;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -132,21 +134,6 @@ pub fn segment(largest: usize) -> u64 {
     (largest.max(CHUNK).next_power_of_two() * chunks + 4096) as u64
 }
 
-/// Returns iceoryx2's configuration of a domain. Clean-up of dead nodes is off, because a domain is removed as a whole.
-///
-/// # Errors
-/// If root or prefix are not valid names for iceoryx2.
-pub fn config(root: &str, prefix: &str) -> Result<Config, SemanticStringError> {
-    let mut config = Config::default();
-    config.global.set_root_path(&Path::new(root.as_bytes())?);
-    config.global.prefix = FileName::new(prefix.as_bytes())?;
-    config.global.service.cleanup_dead_nodes_on_open = false;
-    config.global.node.cleanup_dead_nodes_on_creation = false;
-    config.global.node.cleanup_dead_nodes_on_destruction = false;
-    config.global.creation_timeout = Duration::from_secs(5);
-    Ok(config)
-}
-
 /// A failure of the shared-memory link.
 #[derive(Debug, thiserror::Error)]
 #[error("shared memory: {step} failed: {cause}")]
@@ -164,23 +151,21 @@ impl LinkError {
     }
 }
 
-/// Port factory of messages.
-type Bytes = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, [u8], ()>;
-/// Port factory of progress.
-type Beats = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, Progress, ()>;
-/// Port factory of wake-ups.
+/// Service that sends messages or progress.
+type Channel<T> = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, T, ()>;
+/// Service that sends wake-ups.
 type Wakes = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
 
 /// Sends messages.
-pub type MessageSender = iceoryx2::port::publisher::Publisher<Ipc, [u8], ()>;
+pub type MessageSender = Publisher<Ipc, [u8], ()>;
 /// Receives messages.
-pub type MessageReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, [u8], ()>;
+pub type MessageReceiver = Subscriber<Ipc, [u8], ()>;
 /// The arrays of a result in shared memory, borrowed until dropped.
 pub type Sample = iceoryx2::sample::Sample<Ipc, [u8], ()>;
 /// Sends progress.
-pub type BeatSender = iceoryx2::port::publisher::Publisher<Ipc, Progress, ()>;
+pub type BeatSender = Publisher<Ipc, Progress, ()>;
 /// Receives progress.
-pub type BeatReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, Progress, ()>;
+pub type BeatReceiver = Subscriber<Ipc, Progress, ()>;
 /// Wakes the other end.
 pub type Waker = iceoryx2::port::notifier::Notifier<Ipc>;
 /// Waits for wake-ups.
@@ -191,13 +176,13 @@ pub type Sleeper = iceoryx2::port::listener::Listener<Ipc>;
 #[derive(Debug)]
 pub struct Services {
     /// Messages to the worker.
-    pub down: Bytes,
+    pub down: Channel<[u8]>,
     /// Messages to the orchestrator.
-    pub up: Bytes,
+    pub up: Channel<[u8]>,
     /// Arrays of results.
-    pub arrays: Bytes,
+    pub arrays: Channel<[u8]>,
     /// Heartbeat.
-    pub progress: Beats,
+    pub progress: Channel<Progress>,
     /// Wakes the worker.
     pub wake_worker: Wakes,
     /// Wakes the orchestrator.
@@ -213,24 +198,27 @@ pub enum End {
     Worker,
 }
 
-/// Creates a node of a domain, without iceoryx2's signal handling.
-///
-/// # Errors
-/// If iceoryx2 cannot create it.
-pub fn node(config: &Config) -> Result<Node<Ipc>, LinkError> {
-    NodeBuilder::new()
-        .config(config)
-        .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<Ipc>()
-        .map_err(LinkError::of("creating a node"))
-}
-
 impl Services {
-    /// Creates or opens all services of the node's domain.
+    /// Creates or opens all services of a domain, given by its root path and the prefix of its segments. Clean-up of dead nodes
+    /// is off, because a domain is removed as a whole. So are signal handling and log, whose messages concern killed processes.
     ///
     /// # Errors
-    /// If a service cannot be created or opened.
-    pub fn new(node: &Node<Ipc>, end: End) -> Result<Self, LinkError> {
+    /// If a name is not valid for iceoryx2, or a service cannot be created or opened.
+    pub fn new(root: &str, prefix: &str, end: End) -> Result<Self, LinkError> {
+        set_log_level(LogLevel::Fatal);
+        let naming = "naming the domain";
+        let mut config = Config::default();
+        config.global.set_root_path(&Path::new(root.as_bytes()).map_err(LinkError::of(naming))?);
+        config.global.prefix = FileName::new(prefix.as_bytes()).map_err(LinkError::of(naming))?;
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.creation_timeout = Duration::from_secs(5);
+        let node = NodeBuilder::new()
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(LinkError::of("creating a node"))?;
         macro_rules! service {
             ($name:literal, $builder:expr) => {{
                 let builder = $builder;
@@ -281,17 +269,17 @@ impl Services {
     }
 
     /// Creates a sender of messages. If the buffer is full, a message is discarded and [`send`] returns false.
-    pub fn sender(service: &Bytes) -> Result<MessageSender, LinkError> {
+    pub fn sender(service: &Channel<[u8]>) -> Result<MessageSender, LinkError> {
         Self::sender_of(service, BackpressureStrategy::DiscardData, "creating a sender")
     }
 
     /// Creates a sender of arrays, which waits while the buffer is full. The receiver reads arrays in place.
-    pub fn array_sender(service: &Bytes) -> Result<MessageSender, LinkError> {
+    pub fn array_sender(service: &Channel<[u8]>) -> Result<MessageSender, LinkError> {
         Self::sender_of(service, BackpressureStrategy::RetryUntilDelivered, "creating a sender of arrays")
     }
 
     fn sender_of(
-        service: &Bytes,
+        service: &Channel<[u8]>,
         full: BackpressureStrategy,
         step: &'static str,
     ) -> Result<MessageSender, LinkError> {
@@ -306,23 +294,23 @@ impl Services {
     }
 
     /// Creates a receiver of messages.
-    pub fn receiver(service: &Bytes) -> Result<MessageReceiver, LinkError> {
+    pub fn receiver(service: &Channel<[u8]>) -> Result<MessageReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver"))
     }
 
+    /// Creates a receiver of progress.
+    pub fn beat_receiver(service: &Channel<Progress>) -> Result<BeatReceiver, LinkError> {
+        service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of progress"))
+    }
+
     /// Creates a sender of progress.
-    pub fn beat_sender(service: &Beats) -> Result<BeatSender, LinkError> {
+    pub fn beat_sender(service: &Channel<Progress>) -> Result<BeatSender, LinkError> {
         service
             .publisher_builder()
             .max_loaned_samples(1)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
             .map_err(LinkError::of("creating a sender of progress"))
-    }
-
-    /// Creates a receiver of progress.
-    pub fn beat_receiver(service: &Beats) -> Result<BeatReceiver, LinkError> {
-        service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of progress"))
     }
 
     /// Creates the notifier of a wake-up service.

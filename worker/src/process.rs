@@ -164,11 +164,7 @@ struct Worker {
 
 impl Worker {
     fn connect(start: &Start, perform: Perform) -> Result<Self, LinkError> {
-        iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
-        let config =
-            wire::config(&start.root, &start.prefix).map_err(LinkError::of("reading the domain's name"))?;
-        let node = wire::node(&config)?;
-        let services = Services::new(&node, End::Worker)?;
+        let services = Services::new(&start.root, &start.prefix, End::Worker)?;
         let worker = Self {
             perform,
             down: Services::receiver(&services.down)?,

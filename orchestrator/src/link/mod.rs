@@ -114,13 +114,8 @@ struct Receivers {
 
 /// Creates the domain, and reads from it until told to end.
 fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(LinkEvent) -> bool) -> Result<(), LinkError> {
-    // Errors are returned as values; other messages of iceoryx2 concern killed processes.
-    iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
     std::fs::create_dir(&domain.root).map_err(LinkError::of("making the domain's directory"))?;
-    let config = wire::config(&domain.root.to_string_lossy(), &domain.prefix)
-        .map_err(LinkError::of("naming the domain"))?;
-    let node = wire::node(&config)?;
-    let services = Services::new(&node, End::Orchestrator)?;
+    let services = Services::new(&domain.root.to_string_lossy(), &domain.prefix, End::Orchestrator)?;
     let receivers = Receivers {
         up: Services::receiver(&services.up)?,
         arrays: Services::receiver(&services.arrays)?,
