@@ -2,6 +2,8 @@
 
 use std::process::ExitCode;
 
+use metasense_schemas::reason::{BodyFault, Cause, Reason};
+
 /// Exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
@@ -46,4 +48,49 @@ impl From<Exit> for ExitCode {
 pub fn chain(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(error.source(), |e| e.source());
     std::iter::once(error.to_string()).chain(causes.map(|e| e.to_string())).collect::<Vec<_>>().join(": ")
+}
+
+/// Advice to the user about a trial that ended for this reason.
+pub fn remedy(reason: Reason) -> &'static str {
+    match reason {
+        Reason::WorkerKilled(9) => {
+            "the system may be short of memory: use fewer workers, then run with --retry-failed"
+        }
+        Reason::WorkerKilled(_) | Reason::WorkerExited(_) | Reason::Panicked => {
+            "this is a bug: run `metasense trial SPEC HASH`, and report its output"
+        }
+        Reason::OutOfMemory => {
+            "raise `memory` in [run], or use fewer threads, samples or sensors, then run with --retry-failed"
+        }
+        Reason::SharedMemoryFull => {
+            "free space in /dev/shm, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or \
+             use fewer workers"
+        }
+        Reason::Shortage => "raise the limit that the log names, or use fewer workers or threads",
+        Reason::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
+        Reason::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
+        Reason::Numerical(Cause::Saturated) => {
+            "raise `range` in [sensors] (mm/s², rad/s), use a chip with a larger range, reduce the forces, or move the \
+             sensors"
+        }
+        Reason::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
+            "set `body.compression` nearer to 0, or increase `body.initial_angle`"
+        }
+        Reason::Numerical(Cause::Singular) => {
+            "check whether all forces are 0 (`stimuli.onset` and `time.duration`, or clock and scale of records); if not, raise \
+             `brain.ridge`"
+        }
+        Reason::Numerical(_) => {
+            "run `metasense trial SPEC HASH`; reduce `solver.tolerance` or the learning rate"
+        }
+        Reason::Body(BodyFault::TimeLimit) => "raise `body.time_limit`, then run with --retry-failed",
+        Reason::Body(BodyFault::Changed) => "run the spec again: its trials get other hashes",
+        Reason::Body(_) => "run `metasense lab verify SPEC`, and correct the program of `body.command`",
+        Reason::Rejected => {
+            "the spec is invalid for this trial: run `metasense trial SPEC HASH` for the message"
+        }
+        Reason::Cancelled => "run with --retry-failed to resume it",
+        Reason::Stopped => "the same command resumes it",
+        Reason::Paused => "resumes if a search requests more of its steps",
+    }
 }

@@ -126,51 +126,6 @@ pub enum Reason {
 pub const CANCELLED: &str = "cancelled";
 
 impl Reason {
-    /// Advice to the user about a trial that ended for this reason.
-    pub fn remedy(self) -> &'static str {
-        match self {
-            Self::WorkerKilled(9) => {
-                "the system may be short of memory: use fewer workers, then run with --retry-failed"
-            }
-            Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::Panicked => {
-                "this is a bug: run `metasense trial SPEC HASH`, and report its output"
-            }
-            Self::OutOfMemory => {
-                "raise `memory` in [run], or use fewer threads, samples or sensors, then run with --retry-failed"
-            }
-            Self::SharedMemoryFull => {
-                "free space in /dev/shm, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or \
-                 use fewer workers"
-            }
-            Self::Shortage => "raise the limit that the log names, or use fewer workers or threads",
-            Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
-            Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
-            Self::Numerical(Cause::Saturated) => {
-                "raise `range` in [sensors] (mm/s², rad/s), use a chip with a larger range, reduce the forces, or move the \
-                 sensors"
-            }
-            Self::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
-                "set `body.compression` nearer to 0, or increase `body.initial_angle`"
-            }
-            Self::Numerical(Cause::Singular) => {
-                "check whether all forces are 0 (`stimuli.onset` and `time.duration`, or clock and scale of records); if not, raise \
-                 `brain.ridge`"
-            }
-            Self::Numerical(_) => {
-                "run `metasense trial SPEC HASH`; reduce `solver.tolerance` or the learning rate"
-            }
-            Self::Body(BodyFault::TimeLimit) => "raise `body.time_limit`, then run with --retry-failed",
-            Self::Body(BodyFault::Changed) => "run the spec again: its trials get other hashes",
-            Self::Body(_) => "run `metasense lab verify SPEC`, and correct the program of `body.command`",
-            Self::Rejected => {
-                "the spec is invalid for this trial: run `metasense trial SPEC HASH` for the message"
-            }
-            Self::Cancelled => "run with --retry-failed to resume it",
-            Self::Stopped => "the same command resumes it",
-            Self::Paused => "resumes if a search requests more of its steps",
-        }
-    }
-
     /// Whether another attempt may succeed, because the process failed and not the trial.
     pub fn is_retried(self) -> bool {
         let body = matches!(self, Self::Body(BodyFault::Died | BodyFault::TimeLimit));

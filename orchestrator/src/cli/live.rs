@@ -12,6 +12,7 @@ use super::point::point_in_words;
 use super::{duration, is_live};
 use crate::control::Command;
 use crate::engine::{View, Watch};
+use crate::exit::remedy;
 use crate::files::host;
 use crate::look::short_hash;
 use crate::plan::{Trial, counted};
@@ -102,7 +103,7 @@ impl Watch for Live<'_> {
             return self.say(&format!("cancelled: {}", self.trial_label(trial)));
         }
         let then = match settled {
-            true => format!("not retried; {}", reason.remedy()),
+            true => format!("not retried; {}", remedy(reason)),
             false => "retrying".into(),
         };
         self.failed = text.chars().take(MOST_TEXT).collect();
@@ -199,7 +200,7 @@ impl Watch for Live<'_> {
             let open = counted(view.total - view.settled(), "trial");
             let remedy = match reason {
                 Reason::OutOfMemory => "use fewer workers or threads, or a machine with more memory",
-                reason => reason.remedy(),
+                reason => remedy(reason),
             };
             let why = match reason.is_shortage() {
                 true => format!("no trial makes progress there: {}", self.failed),

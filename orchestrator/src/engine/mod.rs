@@ -37,6 +37,7 @@ use links::Link;
 use spent::Ledger;
 use steer::PendingRequest;
 
+use crate::exit::remedy;
 use crate::files::host;
 use crate::fleet::Fleet;
 use crate::link::{LinkEvent, Runtime, RuntimeError};
@@ -336,7 +337,7 @@ impl Engine<'_> {
                 } else if settled && reason == Reason::Cancelled {
                     tracing::info!(hash, attempt, %reason, "the trial was cancelled");
                 } else if settled {
-                    tracing::error!(hash, attempt, %reason, remedy = reason.remedy(), "the trial has failed");
+                    tracing::error!(hash, attempt, %reason, remedy = remedy(reason), "the trial has failed");
                 } else {
                     tracing::warn!(hash, attempt, %reason, "the attempt failed; the trial is retried");
                 }
