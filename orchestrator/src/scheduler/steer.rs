@@ -3,8 +3,6 @@
 //! A pause stops running trials after their steps in progress and frees the machine; a trial itself may run for hours. Workers
 //! stay idle.
 
-use std::fmt;
-
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
@@ -70,45 +68,6 @@ impl SteerRefusal {
             Phase::Failed(reason) => Self::Failed(reason),
             Phase::Recording(_) | Phase::Done => Self::Done,
             Phase::Pending | Phase::Running(_) => Self::Running,
-        }
-    }
-}
-
-impl fmt::Display for SteerAnswer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let back = |f: &mut fmt::Formatter<'_>, running: usize| match running {
-            0 => f.write_str("no trial is running"),
-            1 => f.write_str("1 running trial stops after its step in progress"),
-            n => write!(f, "{n} running trials stop after their steps in progress"),
-        };
-        match self {
-            Self::Paused(running) => {
-                f.write_str("paused: ")?;
-                back(f, *running)
-            }
-            Self::Resumed(waiting) => write!(f, "resumed; pending trials: {waiting}"),
-            Self::Stopping(running, grace) => {
-                f.write_str("stopping: ")?;
-                back(f, *running)?;
-                match running {
-                    0 => Ok(()),
-                    _ => write!(f, ", or ended after {} s", *grace as f64 / 1000.0),
-                }
-            }
-            Self::Cancelled(false) => f.write_str("cancelled"),
-            Self::Cancelled(true) => f.write_str("cancelled: it ends after its step in progress"),
-            Self::Next(false) => f.write_str("starts on the next free worker"),
-            Self::Next(true) => {
-                f.write_str("starts on the next free worker when another trial has trained its body")
-            }
-            Self::Workers([before, after]) => write!(f, "workers: {before} before, {after} from now on"),
-            Self::Added(count) => write!(f, "trials added: {count}"),
-            Self::Refused(SteerRefusal::Stopping) => f.write_str("the run is stopping"),
-            Self::Refused(SteerRefusal::Done) => f.write_str("the trial is done"),
-            Self::Refused(SteerRefusal::Failed(reason)) => {
-                write!(f, "the trial has already ended ({reason})")
-            }
-            Self::Refused(SteerRefusal::Running) => f.write_str("the trial is already running"),
         }
     }
 }
