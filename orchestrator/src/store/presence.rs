@@ -157,15 +157,9 @@ pub(super) async fn rescue(
     // A normal close would delete the log by its path, which may belong to another file now.
     if let Ok(mut handle) = connection.lock_handle().await {
         let db = handle.as_raw_handle().as_ptr();
+        let none = std::ptr::null_mut::<std::ffi::c_int>();
         // SAFETY: the handle is locked and open; this option takes a number and a pointer that may be null.
-        unsafe {
-            ffi::sqlite3_db_config(
-                db,
-                ffi::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE,
-                1,
-                std::ptr::null_mut::<std::ffi::c_int>(),
-            )
-        };
+        unsafe { ffi::sqlite3_db_config(db, ffi::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, none) };
     }
     let _ = connection.close().await;
     if saved.is_ok() {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct Feasible {
     /// Whether designs are limited. `false`: any design is accepted, and results state overlapping units. Default: true.
-    #[serde(skip_serializing_if = "is_true")]
+    #[serde(skip_serializing_if = "bool::clone")]
     pub limits: bool,
     /// Smallest interior angle of a unit. Unit: degrees.
     pub min_block_angle: f64,
@@ -30,11 +30,6 @@ pub struct Feasible {
     /// Whether clamped and guided units keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_clamped: bool,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_true(limits: &bool) -> bool {
-    *limits
 }
 
 impl Default for Feasible {
