@@ -1,4 +1,4 @@
-//! Questions about finished trials, answered by pure functions without files, clock or database.
+//! Questions about finished trials and the time of a run, answered by pure functions without files, clock or database.
 //!
 //! Errors are in % and are compared as logarithms, so that ratios carry over between scenes and no single trial dominates a
 //! mean. A *cluster* is a pair (placement, seed). All trials of a cluster share sensors and forces; curves are compared within
