@@ -4,13 +4,12 @@
 //! steps, and the database can be kept and resumed.
 
 pub mod noop;
-mod soak;
 
 use std::path::PathBuf;
 use std::time::Instant;
 
 use metasense::cli::{self, Error};
-use metasense::engine::{self, Control, Options, RerunPolicy, Signals, Silent, Watch};
+use metasense::engine::{self, Control, Options, RerunPolicy, Signals, Silent};
 use metasense::exit::Exit;
 use metasense::plan::Trial;
 use metasense::print_line;
@@ -21,7 +20,6 @@ use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use metasense_worker::clock::cpu_seconds;
 use noop::{Fault, Noop};
 use serde_json::json;
-use soak::Soak;
 
 /// Recorded trials per second and rate of arrays of an engine with empty trials
 #[derive(Debug, clap::Args)]
@@ -44,9 +42,6 @@ pub struct Args {
     /// Read the arrays without recording them, to measure shared memory only.
     #[arg(long)]
     drop_arrays: bool,
-    /// Run for this long, kill workers at random and print a row per minute; set enough trials.
-    #[arg(long, value_name = "MINUTES")]
-    soak: Option<f64>,
     /// Keep the database; resume an existing one.
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
@@ -122,12 +117,9 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         program: PathBuf::from("/proc/self/exe"),
     };
     let (cpu, began) = (cpu_seconds(), Instant::now());
-    let mut watch: Box<dyn Watch> = match args.soak {
-        Some(minutes) => Box::new(Soak::new(minutes)),
-        None => Box::new(Silent),
-    };
+    let control = Control::none();
     let summary =
-        engine::run(&mut store, &pending, &work, &options, &mut signals, &Control::none(), &mut *watch).await;
+        engine::run(&mut store, &pending, &work, &options, &mut signals, &control, &mut Silent).await;
     store.close().await?;
     let summary = summary?;
     let seconds = began.elapsed().as_secs_f64();

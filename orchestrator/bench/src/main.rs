@@ -3,17 +3,11 @@
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
-mod answers;
 mod brain;
 mod dynamics;
 mod engine;
-mod linear;
-mod made_up;
-mod merge;
-mod projection;
 mod protocols;
 
-use std::ffi::OsString;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
@@ -41,26 +35,15 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    Answers(answers::Args),
     Brain(brain::Args),
     Dynamics(dynamics::Args),
     Engine(engine::Args),
-    Linear(linear::Args),
-    Merge(merge::Args),
-    Projection(projection::Args),
     Protocols(protocols::Args),
     /// Runs a worker of the engine.
     #[command(hide = true)]
     Worker {
         /// Address of the engine.
         start: String,
-    },
-    /// The `metasense` command, for `answers`.
-    #[command(hide = true, disable_help_flag = true)]
-    Metasense {
-        /// Its arguments.
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<OsString>,
     },
 }
 
@@ -73,20 +56,12 @@ fn dispatch(cli: Cli) -> Result<Exit, Error> {
     metasense_worker::process::keep_memory();
     metasense_worker::limits::raise_limits();
     match cli.what {
-        What::Answers(args) => block_on(answers::execute(args)),
         What::Brain(args) => brain::execute(&args),
         What::Dynamics(args) => dynamics::execute(&args),
         What::Engine(args) => block_on(engine::execute(args)),
-        What::Linear(args) => linear::execute(&args),
-        What::Merge(args) => block_on(merge::execute(args)),
-        What::Projection(args) => projection::execute(&args),
         What::Protocols(args) => protocols::execute(&args),
         What::Worker { start } => {
             std::process::exit(metasense_worker::process::run(&start, engine::noop::perform))
-        }
-        What::Metasense { arguments } => {
-            let name = std::iter::once(OsString::from("metasense"));
-            cli::execute(name.chain(arguments))
         }
     }
 }
