@@ -62,6 +62,10 @@ const OWN: f64 = 4.0;
 /// Largest accepted deviation of a time step, relative to the mean step.
 const JITTER: f64 = 0.25;
 
+/// Remedy for a channel without signal.
+const CABLE: &str =
+    "check the cable and the column in signals.channels, or leave the channel out with sensors.channels";
+
 struct Findings<'a> {
     all: Vec<Finding>,
     described: &'a Described,
@@ -86,13 +90,10 @@ pub(super) fn findings(
     of.early();
     match found {
         Some(found) => of.model(found, read),
-        None if !looked.is_empty() => of.add(
-            "model",
-            Level::Fault,
-            String::new(),
-            "the model cannot be simulated under these forces".into(),
-            "check recorded.force_unit and recorded.scale".into(),
-        ),
+        None if !looked.is_empty() => {
+            let what = "the model cannot be simulated under these forces";
+            of.fault("model", ["", what, "check recorded.force_unit and recorded.scale"]);
+        }
         None => {}
     }
     for check in
@@ -109,15 +110,21 @@ pub(super) fn findings(
                     false => "no channel can be compared".into(),
                 }
             });
-            of.add(check, Level::Ok, String::new(), said, String::new());
+            of.add(check, Level::Ok, ["", &said, ""]);
         }
     }
     of.all
 }
 
 impl Findings<'_> {
-    fn add(&mut self, check: &'static str, level: Level, place: String, found: String, remedy: String) {
+    fn add(&mut self, check: &'static str, level: Level, texts: [&str; 3]) {
+        let [place, found, remedy] = texts.map(str::to_owned);
         self.all.push(Finding { check, level, place, found, remedy });
+    }
+
+    /// Adds a fault: its place, its values, and the remedy.
+    fn fault(&mut self, check: &'static str, texts: [&str; 3]) {
+        self.add(check, Level::Fault, texts);
     }
 
     fn place(&self, i: usize) -> String {
@@ -136,14 +143,8 @@ impl Findings<'_> {
     fn files(&mut self) {
         for (n, record) in self.described.records.iter().enumerate() {
             if let Err(what) = record {
-                let (place, what) = (format!("record {n}"), what.clone());
-                self.add(
-                    "file",
-                    Level::Fault,
-                    place,
-                    what,
-                    "correct the file, or leave the record out".into(),
-                );
+                let remedy = "correct the file, or leave the record out";
+                self.fault("file", [&format!("record {n}"), what, remedy]);
             }
         }
         let uneven: Vec<usize> = (0..self.looked.len()).filter(|i| self.looked[*i].jitter > JITTER).collect();
@@ -153,7 +154,7 @@ impl Findings<'_> {
                 "steps of the clock differ from their mean by up to {most:.0} %; the record is interpolated"
             );
             let remedy = "if the instrument's steps are even, set signals.rate in place of signals.time";
-            self.add("file", Level::Warning, place, found, remedy.into());
+            self.add("file", Level::Warning, [&place, &found, remedy]);
         }
     }
 
@@ -165,18 +166,12 @@ impl Findings<'_> {
                 let found = format!(
                     "largest force {peak:.3} N, noise {noise:.3} N: the record contains no clear blow"
                 );
-                self.add(
-                    "blow",
-                    Level::Fault,
-                    self.place(i),
-                    found,
-                    "leave the record out, or strike harder".into(),
-                );
+                self.fault("blow", [&self.place(i), &found, "leave the record out, or strike harder"]);
             } else if blows > 1 {
                 let found = format!("{blows} blows");
                 let remedy =
                     "leave the record out, or cut it before the second blow (metasense.records: length)";
-                self.add("blow", Level::Warning, self.place(i), found, remedy.into());
+                self.add("blow", Level::Warning, [&self.place(i), &found, remedy]);
             }
         }
     }
@@ -194,7 +189,7 @@ impl Findings<'_> {
                 let place = if kind == 0 { format!("force {c}") } else { self.channels[c].clone() };
                 let found = format!("{sum} entries of {what} are clipped at the end of the range, in {list}");
                 let remedy = "raise the range of the instrument, or strike more softly";
-                self.add("range", Level::Fault, place, found, remedy.into());
+                self.fault("range", [&place, &found, remedy]);
             }
         }
         for c in 0..self.channels.len() {
@@ -203,15 +198,8 @@ impl Findings<'_> {
                 y.iter().all(|x| (x - y[0]).abs() <= 1e-12 * y[0].abs())
             };
             if !self.looked.is_empty() && self.looked.iter().all(still) {
-                let place = self.channels[c].clone();
-                let remedy = "check the cable and the column in signals.channels, or leave the channel out with sensors.channels";
-                self.add(
-                    "channel",
-                    Level::Fault,
-                    place,
-                    "has a constant value; the channel is probably not connected".into(),
-                    remedy.into(),
-                );
+                let found = "has a constant value; the channel is probably not connected";
+                self.fault("channel", [&self.channels[c], found, CABLE]);
             }
         }
     }
@@ -274,7 +262,7 @@ impl Findings<'_> {
                     mean([1.0; 2]),
                     mean(factors)
                 );
-                self.add("unit", Level::Fault, String::new(), text, format!("set {key} = {value}"));
+                self.fault("unit", ["", &text, &format!("set {key} = {value}")]);
             };
             say(f != force, "recorded.force_unit", as_written(&f), &[0, 1]);
             say(a != acceleration, "signals.acceleration_unit", as_written(&a), &[0]);
@@ -284,7 +272,7 @@ impl Findings<'_> {
             if let Some(g) = after[k].filter(|g| g.ln().abs() > SCALE && found.correlation[1] > MODEL) {
                 let text = format!("{what} are {} times those of the model", significant(g));
                 let remedy = "check recorded.scale, signals.factors, the units, and body.density and the chip properties of the spec";
-                self.add("unit", Level::Fault, String::new(), text, remedy.into());
+                self.fault("unit", ["", &text, remedy]);
             }
         }
         for (c, of) in
@@ -298,7 +286,7 @@ impl Findings<'_> {
                     significant(ratio)
                 );
                 let remedy = format!("set signals.factors, {} for this channel", significant(1.0 / ratio));
-                self.add("unit", Level::Fault, self.channels[c].clone(), text, remedy);
+                self.fault("unit", [&self.channels[c], &text, &remedy]);
             }
         }
         factors[0]
@@ -333,13 +321,7 @@ impl Findings<'_> {
                 significant(offset),
                 100.0 * (offset / size).abs()
             );
-            self.add(
-                "offset",
-                Level::Fault,
-                self.channels[c].clone(),
-                found,
-                "set recorded.remove_offset = true".into(),
-            );
+            self.fault("offset", [&self.channels[c], &found, "set recorded.remove_offset = true"]);
         }
     }
 
@@ -362,7 +344,7 @@ impl Findings<'_> {
         let (place, part) = (self.list(&early), 100.0 * part(&self.looked[*first]));
         let found = format!("signals move before the force: {part:.0} % of their RMS after it");
         let remedy = "correct signals.start; or let the body come to rest before each blow";
-        self.add("clock", Level::Fault, place, found, remedy.into());
+        self.fault("clock", [&place, &found, remedy]);
     }
 
     fn model(&mut self, found: &Explanation, read: &[usize]) {
@@ -376,7 +358,7 @@ impl Findings<'_> {
                  {least:.2}; not compared with the model"
             );
             let remedy = "to compare these signals, raise the rate of the chip; a fit needs no higher rate";
-            self.add("channel", Level::Warning, place.join(", "), text, remedy.into());
+            self.add("channel", Level::Warning, [&place.join(", "), &text, remedy]);
         }
         if aliased.len() == self.channels.len() {
             return;
@@ -395,7 +377,7 @@ impl Findings<'_> {
                 ),
                 None => "exchange the columns in recorded.force".into(),
             };
-            self.add("panel", Level::Fault, String::new(), raises(pairs.join(", ")), remedy);
+            self.fault("panel", ["", &raises(pairs.join(", ")), &remedy]);
         }
         self.clocks(found);
         self.axes(found, read);
@@ -403,13 +385,8 @@ impl Findings<'_> {
             let RecordFinding { correlation, panel, clock, .. } = of;
             if let Some((panel, then)) = panel {
                 let said = format!("the record fits panel {panel}: correlation {correlation:.2} → {then:.2}");
-                self.add(
-                    "panel",
-                    Level::Fault,
-                    self.place(i),
-                    said,
-                    format!("set this record's entry of recorded.panels to {panel}"),
-                );
+                let remedy = format!("set this record's entry of recorded.panels to {panel}");
+                self.fault("panel", [&self.place(i), &said, &remedy]);
             } else if let Some((lag, then)) = clock {
                 let said = format!(
                     "its signals seem to be {} s {}: correlation {correlation:.2} → {then:.2}",
@@ -418,14 +395,14 @@ impl Findings<'_> {
                 );
                 let remedy =
                     format!("set this record's entry of signals.start to {:.4}", self.start(i) + lag);
-                self.add("clock", Level::Fault, self.place(i), said, remedy);
+                self.fault("clock", [&self.place(i), &said, &remedy]);
             }
         }
         if after < MODEL {
             let text =
                 format!("mean correlation {after:.2} with the model; none of the tested faults explains it");
             let remedy = "check design, panels, sensors.units, signals.channels and signals.start";
-            self.add("model", Level::Fault, String::new(), text, remedy.into());
+            self.fault("model", ["", &text, remedy]);
         }
     }
 
@@ -457,13 +434,7 @@ impl Findings<'_> {
                 (0..found.records.len()).map(|i| format!("{:.4}", self.start(i) + found.records[i].lag));
             let starts = starts.collect::<Vec<_>>().join(", ");
             let text = format!("clocks of records differ by up to {worst:.1} readings: {}", self.list(&off));
-            self.add(
-                "clock",
-                Level::Fault,
-                String::new(),
-                text,
-                format!("set signals.start = [{starts}], {deviation}"),
-            );
+            self.fault("clock", ["", &text, &format!("set signals.start = [{starts}], {deviation}")]);
         } else if middle.abs() > (LATE[0] * dt).max(declared) {
             let change = if after - before > 0.02 {
                 format!(": raises the mean correlation from {before:.2} to {after:.2}")
@@ -476,7 +447,7 @@ impl Findings<'_> {
                 Some(Start::Each(_)) => format!("{starts:.4?}"),
                 _ => format!("{:.4}", starts[0]),
             };
-            self.add("clock", Level::Fault, String::new(), text, format!("set signals.start = {value}"));
+            self.fault("clock", ["", &text, &format!("set signals.start = {value}")]);
         }
     }
 
@@ -490,7 +461,7 @@ impl Findings<'_> {
                 "the force has the opposite sign: raises the mean correlation from {before:.2} to {after:.2}"
             );
             let scale = -self.described.spec.recorded.scale;
-            self.add("force", Level::Fault, String::new(), text, format!("set recorded.scale = {scale}"));
+            self.fault("force", ["", &text, &format!("set recorded.scale = {scale}")]);
             return;
         }
         for (m, unit) in found.units.iter().enumerate() {
@@ -505,13 +476,8 @@ impl Findings<'_> {
                 let text = format!(
                     "sensor {m} seems to be on unit {unit}: mean correlation {before:.2} → {after:.2}"
                 );
-                self.add(
-                    "sensor",
-                    Level::Fault,
-                    String::new(),
-                    text,
-                    format!("set unit {unit} in sensors.units of the spec, or move the chip"),
-                );
+                let remedy = format!("set unit {unit} in sensors.units of the spec, or move the chip");
+                self.fault("sensor", ["", &text, &remedy]);
                 continue;
             }
             let changed: Vec<usize> = channels.clone().filter(|c| found.source[*c] != (*c, 1.0)).collect();
@@ -547,7 +513,7 @@ impl Findings<'_> {
                 ("axis", changed.iter().map(like).collect::<Vec<_>>().join(", "), mended.join(" and "))
             };
             let text = format!("{text}: mean correlation of the sensor {:.2} → {:.2}", mean(0), mean(1));
-            self.add(check, Level::Fault, format!("sensor {m}"), text, remedy);
+            self.fault(check, [&format!("sensor {m}"), &text, &remedy]);
         }
         for (c, of) in found.channels.iter().enumerate().filter(|(_, of)| of.silent) {
             if self.all.iter().any(|finding| finding.check == "channel" && finding.place == self.channels[c])
@@ -558,8 +524,7 @@ impl Findings<'_> {
                 "does not follow the simulated motion: correlation {:.2}; other channels do",
                 of.correlation[1]
             );
-            let remedy = "check the cable and the column in signals.channels, or leave the channel out with sensors.channels";
-            self.add("channel", Level::Fault, self.channels[c].clone(), text, remedy.into());
+            self.fault("channel", [&self.channels[c], &text, CABLE]);
         }
     }
 }
