@@ -163,39 +163,24 @@ impl fmt::Display for SteerAnswer {
 
 /// Why a run gave no answer.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum ControlError {
     /// The database does not exist.
     #[error("no database: {}", db.display())]
-    NoDatabase {
-        /// The file.
-        db: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    NoDatabase { db: PathBuf, source: io::Error },
     /// No run uses the database.
     #[error("{} is not used by a run; start one with `metasense run SPEC`", db.display())]
-    NoRun {
-        /// The database.
-        db: PathBuf,
-    },
+    NoRun { db: PathBuf },
     /// A process writes to the database, but has no socket.
     #[error(
         "{} is in use by a process that takes no commands: it is starting or stopping (try again in a few seconds), or could not create its \
          socket (see its log)",
         db.display()
     )]
-    NotListening {
-        /// The database.
-        db: PathBuf,
-    },
+    NotListening { db: PathBuf },
     /// The socket failed.
     #[error("sending a command to the run of {}", db.display())]
-    Io {
-        /// The database.
-        db: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Io { db: PathBuf, source: io::Error },
 }
 
 /// A command that waits for its answer.

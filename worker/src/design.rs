@@ -19,31 +19,17 @@ const AGREE: f64 = 1e-6;
 /// A design file that cannot be read or written, or has invalid content.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum DesignError {
     /// The file cannot be read or written.
     #[error("{doing} {}", path.display())]
-    Io {
-        /// "reading" or "writing".
-        doing: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
+    Io { doing: &'static str, path: PathBuf, source: std::io::Error },
     /// The name ends in neither `.npy` nor `.csv`.
     #[error("{}: a design must be an .npy or a .csv file", path.display())]
-    Ending {
-        /// The file.
-        path: PathBuf,
-    },
+    Ending { path: PathBuf },
     /// The content is not a design of this layout.
     #[error("{}: {what}", path.display())]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, and what it should be.
-        what: String,
-    },
+    Content { path: PathBuf, what: String },
 }
 
 /// Reads a design: NPY of α, or CSV of nodes, by the file's extension.

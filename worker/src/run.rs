@@ -30,6 +30,7 @@ pub trait Observe {
 
 /// Why a trial has no result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Failure {
     /// The observer requested a stop.
     #[error("stopped")]
@@ -39,20 +40,10 @@ pub enum Failure {
     Rejected(String),
     /// The computation failed, and smaller steps did not help.
     #[error("numerical: {detail}")]
-    Numerical {
-        /// Kind of failure.
-        cause: Cause,
-        /// Details, with the place.
-        detail: String,
-    },
+    Numerical { cause: Cause, detail: String },
     /// The process of an external body failed.
     #[error("{}: {detail}", fault.name())]
-    Body {
-        /// Kind of failure.
-        fault: BodyFault,
-        /// Command, cause, and last lines of the process.
-        detail: String,
-    },
+    Body { fault: BodyFault, detail: String },
     /// A system resource is exhausted.
     #[error("a system limit is too low: {0}")]
     Shortage(String),

@@ -8,18 +8,14 @@ pub const NAMES: [&str; 3] = ["baseline", "avx2", "avx512"];
 
 /// Why an instruction set cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum SimdError {
     /// The name is unknown.
     #[error("`{0}` is not an instruction set of the kernels; expected baseline, avx2 or avx512")]
     Unknown(String),
     /// The machine does not support it.
     #[error("this machine does not support {asked}; its widest set is {has}")]
-    Lacking {
-        /// The requested set.
-        asked: &'static str,
-        /// The widest set of this machine.
-        has: &'static str,
-    },
+    Lacking { asked: &'static str, has: &'static str },
 }
 
 /// The instruction set of this process; kernels use that of their pool.

@@ -22,18 +22,14 @@ use crate::store::StoreError;
 /// The reason why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Error {
     /// Invalid spec.
     #[error(transparent)]
     Spec(#[from] SpecError),
     /// A file that the command line names cannot be read.
     #[error("cannot read {}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    Unreadable { path: PathBuf, source: std::io::Error },
     /// Invalid design file.
     #[error(transparent)]
     Design(#[from] DesignError),
@@ -45,14 +41,7 @@ pub enum Error {
     Store(#[from] StoreError),
     /// A file operation failed.
     #[error("{doing} {}", path.display())]
-    Io {
-        /// The operation, such as "reading".
-        doing: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    Io { doing: &'static str, path: PathBuf, source: std::io::Error },
     /// Writing to the terminal or pipe failed.
     #[error("writing the output")]
     Output(#[from] std::io::Error),
@@ -73,12 +62,7 @@ pub enum Error {
         "shards {shards} ended without a step or a result: see their outputs in {}; the same command tries again",
         folder.display()
     )]
-    Shards {
-        /// Folder of their outputs.
-        folder: PathBuf,
-        /// Their names.
-        shards: String,
-    },
+    Shards { folder: PathBuf, shards: String },
     /// The assignment of trials to shards failed.
     #[error(transparent)]
     Assignment(#[from] AssignmentError),

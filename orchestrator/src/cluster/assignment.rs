@@ -24,51 +24,24 @@ pub struct Assignment {
 
 /// An error of an assignment.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum AssignmentError {
     /// The file cannot be read or written.
     #[error("cannot {doing} {}, which assigns trials to shards", path.display())]
-    File {
-        /// "read" or "write".
-        doing: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    File { doing: &'static str, path: PathBuf, source: io::Error },
     /// A line of the file is invalid.
     #[error("{}:{line}: {text:?} is not a hash with a shard from 1 to {shards}; restore the file", path.display())]
-    Line {
-        /// The file.
-        path: PathBuf,
-        /// Line number.
-        line: usize,
-        /// Text of the line.
-        text: String,
-        /// Number of shards.
-        shards: u32,
-    },
+    Line { path: PathBuf, line: usize, text: String, shards: u32 },
     /// A line of a shard's list of trials is invalid.
     #[error("{}:{line}: {why}; `metasense cluster submit` writes it again", path.display())]
-    Trial {
-        /// The file.
-        path: PathBuf,
-        /// Line number.
-        line: usize,
-        /// What is wrong.
-        why: String,
-    },
+    Trial { path: PathBuf, line: usize, why: String },
     /// The folder contains databases, but no assignment.
     #[error(
         "{} contains databases of shards, but not {}, which assigns trials to shards: restore it, or merge the databases \
          and choose another folder",
         folder.display(), file
     )]
-    Lost {
-        /// The folder.
-        folder: PathBuf,
-        /// The missing file.
-        file: String,
-    },
+    Lost { folder: PathBuf, file: String },
 }
 
 /// Work of the shards. Each shard trains the bodies of its trials.

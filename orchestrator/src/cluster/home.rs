@@ -45,34 +45,20 @@ pub struct Home {
 
 /// Errors of a shard's database.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum HomeError {
     /// A folder or file cannot be used.
     #[error("cannot use {}", path.display())]
-    Folder {
-        /// The folder or file.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    Folder { path: PathBuf, source: io::Error },
     /// The folder belongs to another user.
     #[error("{} belongs to another user; set TMPDIR, or pass a database with --db", .0.display())]
     Foreign(PathBuf),
     /// The copy of an earlier attempt cannot be merged.
     #[error("{} cannot be resumed: {why}; move it away to run without it", path.display())]
-    Refused {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        why: String,
-    },
+    Refused { path: PathBuf, why: String },
     /// Copying failed repeatedly.
     #[error("the database of the shard could not be copied to the folder; it stays in {}", live.display())]
-    NotHandedIn {
-        /// Path of the database on this node.
-        live: PathBuf,
-        /// Error of the last attempt.
-        source: Box<HomeError>,
-    },
+    NotHandedIn { live: PathBuf, source: Box<HomeError> },
     /// Merging failed.
     #[error(transparent)]
     Merge(#[from] MergeError),

@@ -149,33 +149,17 @@ pub struct Queue {
 
 /// Errors of a queue. The state of shards is unknown then.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum QueueError {
     /// The program cannot be started.
     #[error("cannot start `{command}`, so the state of the queue is unknown")]
-    Start {
-        /// The command.
-        command: String,
-        /// The system's error.
-        source: io::Error,
-    },
+    Start { command: String, source: io::Error },
     /// The command failed.
     #[error("`{command}` failed ({status}), so the state of the queue is unknown: {said}")]
-    Failed {
-        /// The command.
-        command: String,
-        /// Its exit status.
-        status: ExitStatus,
-        /// Its message.
-        said: String,
-    },
+    Failed { command: String, status: ExitStatus, said: String },
     /// The output cannot be parsed.
     #[error("`{command}` printed unexpected output: {answer}")]
-    Answer {
-        /// The command.
-        command: String,
-        /// Its output.
-        answer: String,
-    },
+    Answer { command: String, answer: String },
 }
 
 /// Queries the schedulers of these jobs. Looks up missing ids; removes jobs that are not found, because they were not accepted

@@ -63,15 +63,11 @@ impl Measured {
 
 /// Failure to read records.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum MeasuredError {
     /// The file that describes them is unreadable.
     #[error("cannot read {}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
+    Unreadable { path: PathBuf, source: std::io::Error },
     /// A key is invalid.
     #[error(transparent)]
     Spec(#[from] SpecError),

@@ -58,56 +58,32 @@ pub struct Summary {
 
 /// Errors of a merge.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum MergeError {
     /// The result cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The result cannot be written.
     #[error("cannot write the merged database {}", path.display())]
-    Unwritable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    Unwritable { path: PathBuf, source: std::io::Error },
     /// The existing result cannot be merged with.
     #[error(
         "{} exists and cannot be merged with; it is unchanged: move it away, or choose another file",
         path.display()
     )]
-    Result {
-        /// The file.
-        path: PathBuf,
-        /// The reason.
-        source: Box<StoreError>,
-    },
+    Result { path: PathBuf, source: Box<StoreError> },
     /// Facts cannot be merged into whole trials.
     #[error("{} contains whole trials; merge facts into another file", .0.display())]
     NotFacts(PathBuf),
     /// An input could not be read for lack of a resource.
     #[error("cannot merge {} into {}; nothing was changed", input.display(), out.display())]
-    Stopped {
-        /// The input.
-        input: PathBuf,
-        /// The result.
-        out: PathBuf,
-        /// Error of the disk, memory, or descriptors.
-        source: Box<sqlx::Error>,
-    },
+    Stopped { input: PathBuf, out: PathBuf, source: Box<sqlx::Error> },
     /// An SQLite error.
     #[error("cannot write the merged database {}", path.display())]
-    Sql {
-        /// The file.
-        path: PathBuf,
-        /// SQLite's error.
-        source: sqlx::Error,
-    },
+    Sql { path: PathBuf, source: sqlx::Error },
     /// The folder has no databases, or all files are unreadable.
     #[error("nothing to merge: none of the files is a database that can be read{}", first(refused))]
-    Nothing {
-        /// Unreadable files with reasons.
-        refused: Vec<(PathBuf, String)>,
-    },
+    Nothing { refused: Vec<(PathBuf, String)> },
 }
 
 impl MergeError {
