@@ -44,7 +44,6 @@ impl From<Exit> for ExitCode {
 }
 
 /// Formats an error with its causes, separated by ": ".
-#[must_use]
 pub fn chain(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(error.source(), |e| e.source());
     std::iter::once(error.to_string()).chain(causes.map(|e| e.to_string())).collect::<Vec<_>>().join(": ")

@@ -10,13 +10,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
 /// The folder that contains a file; "." for a bare file name.
-#[must_use]
 pub fn folder(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Name of this machine.
-#[must_use]
 pub fn host() -> String {
     std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned()
 }
@@ -27,13 +25,11 @@ pub(crate) fn mark_of(host: &str) -> String {
 }
 
 /// Host name and process id of this process, as a unique part of file names.
-#[must_use]
 pub fn own_mark() -> String {
     format!("{}-{}", mark_of(&host()), std::process::id())
 }
 
 /// Eight hex digits that are unique to this machine, process and call.
-#[must_use]
 pub fn fresh_mark() -> String {
     static COUNT: AtomicU32 = AtomicU32::new(0);
     let (mark, now, count) = (own_mark(), SystemTime::now(), COUNT.fetch_add(1, Ordering::Relaxed));
@@ -41,7 +37,6 @@ pub fn fresh_mark() -> String {
 }
 
 /// Whether PATH contains a program of this name.
-#[must_use]
 pub fn is_in_path(program: &str) -> bool {
     let paths = std::env::var_os("PATH").unwrap_or_default();
     std::env::split_paths(&paths).any(|folder| folder.join(program).is_file())

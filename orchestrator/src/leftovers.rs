@@ -13,7 +13,6 @@ const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// Whether the process whose mark ends this name (before `.tmp` or `.sqlite`) has abandoned the file or folder. On this
 /// machine: the process has ended. On another machine: nothing was written for a day.
-#[must_use]
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mark = name.strip_suffix(".tmp").or(name.strip_suffix(".sqlite")).unwrap_or(&name);

@@ -13,7 +13,6 @@ use crate::reader::{CodeVersion, Reader};
 use crate::store::StoreError;
 
 /// Provenance of this program on this machine with `threads` threads per worker.
-#[must_use]
 pub fn this_machine(threads: u32) -> Provenance {
     Provenance {
         code: code().into(),
@@ -27,19 +26,16 @@ pub fn this_machine(threads: u32) -> Provenance {
 }
 
 /// Digest of the sources of this program that affect the results of trials.
-#[must_use]
 pub fn code() -> &'static str {
     env!("METASENSE_CODE")
 }
 
 /// Digest of the sources of this program that affect the results of any command.
-#[must_use]
 pub fn code_with_lab() -> &'static str {
     env!("METASENSE_CODE_WITH_LAB")
 }
 
 /// Git commit of this program; `None` if it was built without git.
-#[must_use]
 pub fn revision() -> Option<&'static str> {
     option_env!("METASENSE_REVISION")
 }
@@ -52,7 +48,6 @@ fn cpu() -> Option<String> {
 }
 
 /// A warning if different code computed the results; `None` if the code is the same.
-#[must_use]
 pub fn mixed(made: &[CodeVersion]) -> Option<String> {
     let named = |made: &CodeVersion| {
         let revisions = if made.revisions.is_empty() {
@@ -80,7 +75,6 @@ const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may ha
 
 /// Warns if no time step keeps the requested error on the initial or the best body, according to the trial's `solver` column;
 /// `None` if both are resolved.
-#[must_use]
 pub fn unresolved(solver: &str) -> Option<String> {
     let bodies = match keeps_error(solver) {
         [true, true] => return None,
@@ -95,7 +89,6 @@ const CHAOTIC: &str = "the motion is chaotic, so errors and predictions depend o
     damping make the motion resolvable; v_trial.solver contains the remaining error";
 
 /// The same warning for several trials.
-#[must_use]
 pub fn unresolved_trials(hashes: &[String]) -> Option<String> {
     let shown: Vec<&str> = hashes.iter().take(SHOWN).map(|hash| short_hash(hash)).collect();
     let more = if hashes.len() > SHOWN { ", …" } else { "" };

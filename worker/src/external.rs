@@ -38,7 +38,6 @@ static PROCESS: Mutex<Option<Process>> = Mutex::new(None);
 static WAITED: AtomicU64 = AtomicU64::new(0);
 
 /// Seconds that this worker has waited for external bodies; they count as its own computing time.
-#[must_use]
 pub fn waited() -> f64 {
     WAITED.load(Ordering::Relaxed) as f64 * 1e-9
 }
@@ -71,13 +70,11 @@ pub fn describe(command: &[String], time_limit: Option<f64>) -> Result<Descripti
 }
 
 /// Sensor placement number `p`: a random permutation of `sensors` places.
-#[must_use]
 pub fn placement(sensors: usize, p: u64) -> Vec<usize> {
     Stream::new(Purpose::Placement, 0, [p, sensors as u64]).permutation(sensors)
 }
 
 /// Bounds and constraints of designs with `numbers` components.
-#[must_use]
 pub fn limits(described: &Description, numbers: usize) -> LinearLimits {
     let row = |given: &spec::Constraint| LinearRow {
         terms: given.terms.clone(),
@@ -135,7 +132,6 @@ impl Question<'_> {
 
 impl External {
     /// The body of a trial. The first call starts its process.
-    #[must_use]
     pub fn new(body: &spec::Body, described: &Description) -> Self {
         Self(Arc::new(Shared {
             command: body.command.clone(),

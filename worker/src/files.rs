@@ -43,7 +43,6 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
 }
 
 /// Extension of a file name, in lower case.
-#[must_use]
 pub fn ending(path: &Path) -> String {
     path.extension().map_or(String::new(), |ending| ending.to_string_lossy().to_lowercase())
 }

@@ -22,7 +22,6 @@ pub fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Inv
 }
 
 /// Formats a value as in a spec; `None` as an empty string.
-#[must_use]
 pub fn as_written(value: &impl Serialize) -> String {
     toml::Value::try_from(value).map_or(String::new(), |value| value.to_string())
 }

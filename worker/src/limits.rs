@@ -327,7 +327,6 @@ pub(crate) fn field(text: &str, name: &str) -> Option<u64> {
 }
 
 /// Number of processes of this container or job that the system killed for lack of memory.
-#[must_use]
 pub fn killed_for_memory() -> u64 {
     let of = |group: &Path| {
         let events = ["memory.events", "memory.oom_control"];
@@ -342,7 +341,6 @@ const SHORTAGE_CODES: [i32; 7] =
     [libc::EAGAIN, libc::ENOMEM, libc::ENFILE, libc::EMFILE, libc::EFBIG, libc::ENOSPC, libc::EDQUOT];
 
 /// Whether an error message contains the code of a shortage.
-#[must_use]
 pub fn tells_of_shortage(text: &str) -> bool {
     SHORTAGE_CODES.iter().any(|code| {
         [format!("os error {code})"), format!("Os {{ code: {code},")].iter().any(|words| text.contains(words))
@@ -350,7 +348,6 @@ pub fn tells_of_shortage(text: &str) -> bool {
 }
 
 /// Appends the exceeded limit to a message, if one is still exceeded.
-#[must_use]
 pub fn explained(text: &str, needs: &Needs) -> String {
     check(needs).map_or_else(|short| format!("{text}; {}", short.fact()), |()| text.to_owned())
 }

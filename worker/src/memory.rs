@@ -25,7 +25,6 @@ pub struct MemoryLimit {
 }
 
 /// The smallest limit of this machine, its control group, its ulimits and `[run] memory` (MiB).
-#[must_use]
 pub fn limit(of_run: Option<u64>) -> Option<MemoryLimit> {
     let info = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let machine = field(&info, "MemTotal:")

@@ -307,7 +307,6 @@ pub fn kind(kind: spec::BrainKind) -> BrainKind {
 }
 
 /// The lags of a linear decoder with this memory (s); by default those of the whole sample.
-#[must_use]
 pub fn lags(time: &spec::Time, memory: Option<[f64; 2]>) -> Lags {
     let Some(memory) = memory else { return Lags::whole(time.samples) };
     let [before, after] = memory.map(|s| (s / time.duration * time.samples as f64 + 1e-9) as usize);
@@ -337,7 +336,6 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
 }
 
 /// Instants per sample at which the motion is computed: those of the readings, or more if chips filter.
-#[must_use]
 pub fn instants(trial: &TrialSpec) -> usize {
     let readings = trial.time.samples;
     let interval = trial.time.duration / readings as f64;

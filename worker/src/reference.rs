@@ -6,7 +6,6 @@ use metasense_numerics::random::Purpose;
 use metasense_numerics::stimuli::{self, Bell};
 
 /// The reference scene: two panels, one sensor, 6 × 6 units.
-#[must_use]
 pub fn reference() -> Scene {
     let layout = Layout::planar(6, 6, 15.0, 2.25);
     Scene {
@@ -34,7 +33,6 @@ pub fn reference() -> Scene {
 }
 
 /// Bell pulses with the default intervals, seed 1.
-#[must_use]
 pub fn bells(scene: &Scene, samples: u64) -> Forces {
     let bell = Bell {
         amplitude: [0.15, 0.5],

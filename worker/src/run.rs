@@ -51,7 +51,6 @@ pub enum Failure {
 
 impl Failure {
     /// The failure of an external body's process.
-    #[must_use]
     pub fn of_body(fault: trial::Fault) -> Self {
         Self::Body { fault: external::named(&fault), detail: fault.detail }
     }

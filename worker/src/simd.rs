@@ -27,7 +27,6 @@ pub fn width() -> Width {
 }
 
 /// Name of this instruction set.
-#[must_use]
 pub fn name() -> &'static str {
     width().name()
 }

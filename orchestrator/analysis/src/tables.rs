@@ -493,7 +493,6 @@ fn nonlinear_table(trials: &[&Trial]) -> Table {
 }
 
 /// Returns the nonlinear part (%) of accelerations (kind 0) or angular velocities (1) of a body, per trial that has it.
-#[must_use]
 pub fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> {
     trials.iter().filter_map(|t| t.nonlinear[body as usize][kind]).collect()
 }

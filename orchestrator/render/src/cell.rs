@@ -6,26 +6,22 @@ use serde_json::{Value, json};
 const INFINITE: &str = "infinite";
 
 /// The cell for a number. NaN becomes null, as in SQLite.
-#[must_use]
 pub fn real(x: f64) -> Value {
     if x.is_infinite() { json!({ INFINITE: x > 0.0 }) } else { x.into() }
 }
 
 /// The number in a cell, including ±∞.
-#[must_use]
 pub fn number(cell: &Value) -> Option<f64> {
     cell.as_f64().or_else(|| infinite(cell))
 }
 
 /// ±∞ in a cell.
-#[must_use]
 pub fn infinite(cell: &Value) -> Option<f64> {
     let positive = cell.as_object()?.get(INFINITE)?.as_bool()?;
     Some(if positive { f64::INFINITY } else { f64::NEG_INFINITY })
 }
 
 /// The cell as text that reads back as the same value: `inf` and `-inf`, and nothing for NULL.
-#[must_use]
 pub fn plain(cell: &Value) -> String {
     match (cell, infinite(cell)) {
         (Value::Null, _) => String::new(),
@@ -36,7 +32,6 @@ pub fn plain(cell: &Value) -> String {
 }
 
 /// The cell as JSON that reads back as the same value: ±∞ as `9e999` and `-9e999`, as SQLite writes them.
-#[must_use]
 pub fn json(cell: &Value) -> String {
     match infinite(cell) {
         Some(x) if x > 0.0 => "9e999".into(),

@@ -99,7 +99,6 @@ impl Error {
     }
 
     /// The exit code.
-    #[must_use]
     pub fn exit(&self) -> Exit {
         match self {
             Self::Store(e)
@@ -148,7 +147,6 @@ impl Error {
     }
 
     /// Whether the program that reads our output has closed the pipe.
-    #[must_use]
     pub fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)
     }

@@ -155,7 +155,6 @@ fn renamed(name: &str) -> Option<String> {
 }
 
 /// The clap command. Its help lists commands by heading, and the commands of each group.
-#[must_use]
 pub fn command() -> clap::Command {
     let command = Cli::command();
     let (header, literal) = (command.get_styles().get_header(), command.get_styles().get_literal());
@@ -242,7 +241,6 @@ fn refuse_overwriting_inputs(matches: &ArgMatches) -> Result<(), Error> {
 }
 
 /// The exit code of the program; prints an error.
-#[must_use]
 pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
     let exit = ended.unwrap_or_else(|e| match e.is_broken_pipe() {
         // The program that reads our output has closed the pipe.

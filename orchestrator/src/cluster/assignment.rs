@@ -83,7 +83,6 @@ impl<'a> ShardLoads<'a> {
 
 impl Assignment {
     /// Assigns new trials.
-    #[must_use]
     pub fn new(trials: &[Trial], shards: u32) -> Self {
         let mut assignment = Self { shards, of: BTreeMap::new() };
         assignment.add(trials);
@@ -152,7 +151,6 @@ impl Assignment {
     }
 
     /// Number of shards.
-    #[must_use]
     pub fn shards(&self) -> u32 {
         self.shards
     }
@@ -200,7 +198,6 @@ impl Assignment {
     }
 
     /// The shard of an assigned trial.
-    #[must_use]
     pub fn shard(&self, hash: &str) -> u32 {
         *self.of.get(hash).unwrap_or_else(|| panic!("trial {hash} has not been assigned to a shard"))
     }
@@ -212,7 +209,6 @@ impl Assignment {
     }
 
     /// Estimated core-seconds per shard.
-    #[must_use]
     pub fn costs(&self, trials: &[Trial]) -> Vec<f64> {
         let (mut costs, mut trained) = (vec![0.0; self.shards as usize], HashSet::new());
         for trial in trials {

@@ -45,7 +45,6 @@ impl Facts {
     }
 
     /// Path of the database.
-    #[must_use]
     pub fn db(&self) -> &Path {
         &self.db
     }
@@ -118,7 +117,6 @@ impl Facts {
     }
 
     /// Message about the folder for people.
-    #[must_use]
     pub fn message(&self) -> String {
         let folder = self.folder.display();
         format!(

@@ -111,19 +111,16 @@ impl Home {
     }
 
     /// Path of this attempt's copy.
-    #[must_use]
     pub fn handed_in(&self) -> &Path {
         &self.handed_in
     }
 
     /// Path of the database in use.
-    #[must_use]
     pub fn live(&self) -> &Path {
         &self.live
     }
 
     /// Path of the run's log, in the results folder, because the node's disk may be lost.
-    #[must_use]
     pub fn log(&self) -> PathBuf {
         self.folder.join(format!("{}.log", self.shard.file_stem()))
     }
@@ -299,7 +296,6 @@ impl Home {
 }
 
 /// Copies of the shards' databases in a folder, sorted.
-#[must_use]
 pub fn attempts(folder: &Path) -> BTreeMap<Shard, Vec<PathBuf>> {
     let mut attempts = BTreeMap::<Shard, Vec<PathBuf>>::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {

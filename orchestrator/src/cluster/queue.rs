@@ -78,7 +78,6 @@ impl Notes {
 }
 
 /// Whether a `submit` uses a folder.
-#[must_use]
 pub fn is_held(folder: &Path) -> bool {
     File::open(folder.join(JOBS)).is_ok_and(|file| files::is_held(&file))
 }
@@ -210,7 +209,6 @@ pub(super) fn output(words: &[String]) -> Result<String, QueueError> {
 
 impl Queue {
     /// Whether every queued job of shards has a queued merge.
-    #[must_use]
     pub fn has_merge(&self, jobs: &[Job]) -> bool {
         let is_queued = |job: &String| self.jobs.contains(job);
         let mut of_shards = jobs.iter().filter(|job| is_queued(&job.job));

@@ -24,7 +24,6 @@ pub enum SchedulerName {
 
 impl SchedulerName {
     /// The scheduler of this name.
-    #[must_use]
     pub fn scheduler(self) -> &'static dyn Scheduler {
         match self {
             Self::Slurm => &slurm::Slurm,
@@ -36,7 +35,6 @@ impl SchedulerName {
 }
 
 /// The queue of the scheduler with this name in the list of jobs, if it has one.
-#[must_use]
 pub fn queue_named(name: &str) -> Option<&'static dyn QueueCommands> {
     <SchedulerName as clap::ValueEnum>::from_str(name, false).ok()?.scheduler().queue()
 }

@@ -20,31 +20,26 @@ impl Shard {
     pub const MOST: u32 = 100_000;
 
     /// Shard `index`, from 1, of `count`; `None` if it does not exist.
-    #[must_use]
     pub fn new(index: u32, count: u32) -> Option<Self> {
         (1 <= index && index <= count && count <= Self::MOST).then_some(Self { index, count })
     }
 
     /// Number of the shard, from 1.
-    #[must_use]
     pub fn index(self) -> u32 {
         self.index
     }
 
     /// Number of shards.
-    #[must_use]
     pub fn count(self) -> u32 {
         self.count
     }
 
     /// Start of the names of its files: `shard-3-of-10`.
-    #[must_use]
     pub fn file_stem(self) -> String {
         format!("shard-{}-of-{}", self.index, self.count)
     }
 
     /// The shard of a file name such as `shard-3-of-10.sqlite`.
-    #[must_use]
     pub fn of_file(name: &str) -> Option<Self> {
         let (index, count) = name.split('.').next()?.strip_prefix("shard-")?.split_once("-of-")?;
         Self::new(index.parse().ok()?, count.parse().ok()?)
@@ -52,7 +47,6 @@ impl Shard {
 }
 
 /// Formats sorted numbers as ranges for schedulers: `1-3,7`.
-#[must_use]
 pub fn ranges(numbers: &[u32]) -> String {
     let mut runs: Vec<(u32, u32)> = Vec::new();
     for &n in numbers {

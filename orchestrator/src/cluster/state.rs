@@ -51,13 +51,11 @@ pub struct Run {
 
 impl State {
     /// Whether all trials have ended.
-    #[must_use]
     pub fn is_settled(&self) -> bool {
         ["complete", "failed"].contains(&self.state.as_str())
     }
 
     /// Number of failed trials.
-    #[must_use]
     pub fn failed(&self) -> usize {
         self.failures.len()
     }

@@ -80,7 +80,6 @@ pub struct Script {
 }
 
 /// Number of shards for which each takes half of its time limit by estimate; estimates are accurate to a factor of two.
-#[must_use]
 pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
     let total = cost::total(trials);
     let shards = (2.0 * total / (f64::from(cpus) * seconds as f64)).ceil();
@@ -88,7 +87,6 @@ pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
 }
 
 /// Estimated seconds of the average and the longest shard on its cores.
-#[must_use]
 pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f64) {
     let costs = assignment.costs(trials);
     let cores = f64::from(cpus);
@@ -99,7 +97,6 @@ pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f
 
 impl Submission {
     /// Describes a path or prefix that scripts cannot contain, if there is one.
-    #[must_use]
     pub fn unfit(&self) -> Option<String> {
         let control = |text: &str| text.chars().any(char::is_control);
         let directive = |text: &str| text.contains(self.scheduler.unfit_in_paths());
@@ -115,38 +112,32 @@ impl Submission {
     }
 
     /// Whether the scheduler has a queue that outlives `submit`.
-    #[must_use]
     pub fn has_queue(&self) -> bool {
         self.scheduler.queue().is_some()
     }
 
     /// Longest wait of a stopped shard for steps in progress (s).
-    #[must_use]
     pub fn grace(&self) -> f64 {
         self.grace.unwrap_or(if self.has_queue() { QUEUED_GRACE } else { GRACE })
     }
 
     /// Time before its time limit at which a shard is stopped (s).
-    #[must_use]
     pub fn notice(&self) -> u64 {
         (self.grace().ceil() as u64 + HAND_IN).max(NOTICE)
     }
 
     /// The scripts of shards and of the merge.
-    #[must_use]
     pub fn scripts(&self) -> [Script; 2] {
         let (shard, merge) = (self.scheduler.shard_script(self), self.scheduler.merge_script(self));
         [Script { name: "shard.sh", text: shard }, Script { name: MERGE, text: merge }]
     }
 
     /// Number of workers of a shard.
-    #[must_use]
     pub fn workers(&self) -> u32 {
         (self.cpus / self.threads).max(1)
     }
 
     /// Arguments of a shard's run; `shard`: the shell variable with its number.
-    #[must_use]
     pub fn run_words(&self, shard: &str, stop_after: Option<u64>) -> Vec<String> {
         let workers = self.workers();
         let spec = self.folder.join(SUBMITTED_SPEC).display().to_string();
@@ -194,7 +185,6 @@ impl Submission {
     }
 
     /// The job arrays to submit; the scheduler limits their indices.
-    #[must_use]
     pub fn arrays(&self) -> Vec<Array> {
         let most = self.most_index.max(1);
         let mut arrays: Vec<Array> = Vec::new();
@@ -221,7 +211,6 @@ pub(super) fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<Str
 }
 
 /// A shell command of these words.
-#[must_use]
 pub fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(Path::new(word))).collect::<Vec<_>>().join(" ")
 }

@@ -28,7 +28,6 @@ impl Token {
     }
 
     /// The token with this text.
-    #[must_use]
     pub fn of(text: &str) -> Self {
         Self(blake3::hash(text.as_bytes()))
     }

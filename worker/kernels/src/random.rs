@@ -73,7 +73,6 @@ pub type Draw = Stream<SplitMix>;
 
 impl Draw {
     /// The stream of this seed and number, at its beginning.
-    #[must_use]
     pub fn numbered(seed: u64, number: u64) -> Self {
         let mut bits = SplitMix(seed);
         bits.0 = bits.next() ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15);

@@ -24,7 +24,6 @@ const FLOATS: [usize; 3] = [4; 3];
 impl Demands {
     /// Resources for layers with these sizes (bytes) of weights, values between layers, and sums; weights of less than four bytes
     /// are integers.
-    #[must_use]
     pub fn of(layers: &[Convolution], [weight, value, sum]: [usize; 3]) -> Self {
         let integers = weight < 4;
         let words = |bytes: usize| bytes.next_multiple_of(4);

@@ -45,7 +45,6 @@ pub struct Measured {
 
 impl Measured {
     /// Simulated signals, which share the clock of the forces.
-    #[must_use]
     pub fn of(forces: Forces, signals: Vec<f64>, low_pass: bool) -> Self {
         Self { forces, signals, low_pass, resampled: None, starts: Vec::new(), start_deviation: 0.0 }
     }

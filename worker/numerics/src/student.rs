@@ -4,14 +4,12 @@
 ///
 /// # Panics
 /// If there are no values.
-#[must_use]
 pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     *sorted.select_nth_unstable_by(values.len() / 2, f64::total_cmp).1
 }
 
 /// 97.5 % quantile of Student's t.
-#[must_use]
 pub fn student(freedom: usize) -> f64 {
     const TABLE: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
     if freedom <= TABLE.len() {
@@ -30,7 +28,6 @@ pub fn student(freedom: usize) -> f64 {
 ///
 /// # Panics
 /// If `freedom` is 0.
-#[must_use]
 pub fn chance_above(freedom: usize, t: f64) -> f64 {
     assert!(freedom > 0, "no degree of freedom");
     let odd = freedom % 2 == 1;
@@ -49,7 +46,6 @@ pub fn chance_above(freedom: usize, t: f64) -> f64 {
 ///
 /// # Panics
 /// If `freedom` is 0, or `chance` is not between 0 and ½.
-#[must_use]
 pub fn student_above(freedom: usize, chance: f64) -> f64 {
     assert!(chance > 0.0 && chance < 0.5, "{chance}");
     let root = (freedom as f64).sqrt();

@@ -30,14 +30,12 @@ pub struct Form<'a> {
 
 impl<'a> Form<'a> {
     /// Form of files of forces; `keys` is their table.
-    #[must_use]
     pub fn of_forces(recorded: &Recorded, keys: &'static str, read: Option<Vec<&'a Signal>>) -> Self {
         let Recorded { header, separator, decimal, .. } = *recorded;
         Self { header, separator, decimal, read, keys: Some(keys) }
     }
 
     /// Form of files that contain only signals.
-    #[must_use]
     pub fn of_signals(
         header: Option<bool>,
         separator: Option<Separator>,
@@ -165,7 +163,6 @@ impl Table {
     }
 
     /// Number of columns.
-    #[must_use]
     pub fn width(&self) -> usize {
         self.columns.len()
     }
@@ -197,19 +194,16 @@ impl Table {
     }
 
     /// Values of a column that was read.
-    #[must_use]
     pub fn values(&self, column: usize) -> &[f64] {
         &self.columns[column]
     }
 
     /// Location of a row, for messages.
-    #[must_use]
     pub fn place(&self, row: usize) -> String {
         self.lines.get(row).map_or(format!("entry {row}"), |line| format!("line {line}"))
     }
 
     /// Name of a column, for messages.
-    #[must_use]
     pub fn label(&self, column: usize) -> String {
         self.names.get(column).cloned().unwrap_or(format!("column {column}"))
     }

@@ -147,7 +147,6 @@ fn is_known(goal: &Goal, stored: &Candidate, work: Work) -> bool {
 }
 
 /// Number of fresh seeds with results after this work.
-#[must_use]
 pub fn fresh_after(goal: &Goal, work: Work) -> usize {
     match work {
         Work::Level(_) => 0,

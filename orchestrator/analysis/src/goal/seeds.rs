@@ -23,13 +23,11 @@ const DEVIATION: f64 = 0.1;
 const FREEDOM: usize = 3;
 
 /// Number of seeds that confirm a body.
-#[must_use]
 pub fn confirming(goal: &Goal) -> usize {
     2 * goal.fresh
 }
 
 /// Largest number of fresh seeds per body: screening and confirming seeds.
-#[must_use]
 pub fn most_fresh(goal: &Goal) -> usize {
     goal.fresh + confirming(goal)
 }

@@ -40,7 +40,6 @@ pub enum Kind {
 
 impl Kind {
     /// Name in tables.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Damaged => "damaged",

@@ -288,7 +288,6 @@ impl Layout {
     }
 
     /// The same layout with another ligament length; the units shrink as the ligaments grow.
-    #[must_use]
     pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
         let mut resized =
             Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };

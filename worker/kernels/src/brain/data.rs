@@ -46,7 +46,6 @@ impl<F: Real> Data<F> {
     ///
     /// # Panics
     /// If the number of weights is not K.
-    #[must_use]
     pub fn with_output_weights(mut self, weights: &[f64]) -> Self {
         assert_eq!(weights.len(), self.shape.outputs);
         self.output_weights = weights.iter().map(|&w| F::from_f64(w)).collect();

@@ -91,7 +91,6 @@ impl Forces {
     }
 
     /// The given samples, in the given order.
-    #[must_use]
     pub fn select(&self, samples: &[usize]) -> Self {
         let values = samples.iter().flat_map(|&i| self.sample(i)).copied().collect();
         let own = |&i: &usize| self.strikes.iter().skip(i * self.panels).take(self.panels);

@@ -54,7 +54,6 @@ pub struct Accuracy(pub f64);
 
 impl Accuracy {
     /// The smaller of two errors.
-    #[must_use]
     pub fn min(self, other: Self) -> Self {
         Self(self.0.min(other.0))
     }
@@ -81,7 +80,6 @@ impl Tolerance {
     }
 
     /// The tolerance that gives the same steps for a linear motion `by` times as large.
-    #[must_use]
     pub fn for_motion_scaled_by(self, by: f64) -> Self {
         Self { absolute: by * self.absolute, ..self }
     }
@@ -129,14 +127,12 @@ impl Solver {
     }
 
     /// This solver with equal steps, for finite differences: the steps then do not change with the body.
-    #[must_use]
     pub fn in_equal_steps(self) -> Self {
         let method = if self.method == Method::Tsit5 { Method::Auto } else { self.method };
         Self { method, ..self }
     }
 
     /// This solver with at most this error of the signals, in f64: a pilot's choice of f32 is valid only for its own steps.
-    #[must_use]
     pub fn at_most(self, error: Accuracy) -> Self {
         let stricter = (error.0 / self.accuracy.0).min(1.0);
         let tolerance = self.tolerance.map(|t| Tolerance {
@@ -201,7 +197,6 @@ impl Plan {
     }
 
     /// This plan in f64, for runs whose differences are used.
-    #[must_use]
     pub fn double(self) -> Self {
         Self { precision: Precision::Double, ..self }
     }

@@ -21,7 +21,6 @@ pub enum Level {
 
 impl Level {
     /// Name of the level.
-    #[must_use]
     pub fn name(self) -> &'static str {
         ["ok", "warning", "fault"][self as usize]
     }

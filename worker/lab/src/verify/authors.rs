@@ -50,7 +50,6 @@ fn joints(columns: i32, rows: i32) -> Vec<([i32; 2], usize, [i32; 2], usize)> {
 ///
 /// # Panics
 /// If there are fewer than 3K − 1 columns.
-#[must_use]
 pub fn planar(columns: usize, rows: usize, panels: usize) -> Polygons {
     assert!(columns + 1 >= 3 * panels, "{columns} columns for {panels} panels");
     let (angle, n, high) = ((-25f64).to_radians(), columns * rows, 7.0 / 15.0 * PITCH);
@@ -129,7 +128,6 @@ const SHELLS: usize = 8;
 
 /// The disc cut out of n × n squares, centred at the origin: the squares inside, then the shells. Negative forces push the shells
 /// inward.
-#[must_use]
 pub fn disc(n: usize) -> Polygons {
     let (angle, count) = (25f64.to_radians(), i32::try_from(n).expect("a few columns"));
     let (size, middle) = (n as f64 * PITCH, 0.5 * f64::from(count - 1) * PITCH);

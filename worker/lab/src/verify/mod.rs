@@ -101,7 +101,6 @@ fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, Cas
 }
 
 /// ‖a − b‖/‖b‖, or ‖a‖ if b is zero; infinite if lengths differ.
-#[must_use]
 pub fn relative(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() {
         return f64::INFINITY;

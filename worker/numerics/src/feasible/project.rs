@@ -112,7 +112,6 @@ const REACH: f64 = 3.0;
 const STRIDE: f64 = 1.0;
 
 /// Euclidean distance between two designs.
-#[must_use]
 pub fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }

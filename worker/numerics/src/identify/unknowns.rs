@@ -29,7 +29,6 @@ pub enum Unknown {
 
 impl Unknown {
     /// The common parameter that this unknown changes, if any.
-    #[must_use]
     pub fn parameter(self) -> Option<Parameter> {
         if let Self::Material(parameter) = self { Some(parameter) } else { None }
     }

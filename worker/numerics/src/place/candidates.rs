@@ -72,7 +72,6 @@ impl Candidates {
     }
 
     /// Keeps the best single units if there are too many to search.
-    #[must_use]
     pub fn limit_candidates(self, problem: &Problem, pool: &crate::Pool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
@@ -105,7 +104,6 @@ impl Candidates {
     ///
     /// # Panics
     /// If one is not a candidate.
-    #[must_use]
     pub fn select_units(&self, units: &[usize]) -> Self {
         let position = |unit: &usize| self.units.iter().position(|u| u == unit).expect("a candidate");
         let each = self.samples.sizes.channels / self.units.len();

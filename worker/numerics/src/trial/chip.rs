@@ -88,7 +88,6 @@ impl Chip {
     }
 
     /// The chip with another seed for its draws.
-    #[must_use]
     pub fn seeded(self, seed: u64) -> Self {
         Self { seed, ..self }
     }

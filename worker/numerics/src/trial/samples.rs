@@ -24,7 +24,6 @@ impl Samples {
     }
 
     /// Sets which samples failed.
-    #[must_use]
     pub fn with_failed(self, failed: Vec<bool>) -> Self {
         assert_eq!(failed.len(), self.count(), "one a sample");
         Self { failed, ..self }
@@ -47,7 +46,6 @@ impl Samples {
     }
 
     /// The samples listed, in the order listed.
-    #[must_use]
     pub fn select(&self, samples: &[usize]) -> Self {
         let (signals, targets) =
             (pick(&self.signals, self.count(), samples), pick(&self.targets, self.count(), samples));
@@ -68,7 +66,6 @@ impl Samples {
     ///
     /// # Panics
     /// If there is no set.
-    #[must_use]
     pub fn joined(sets: &[&Self]) -> Self {
         Self {
             sizes: sets[0].sizes,

@@ -118,7 +118,6 @@ impl Moments {
     ///
     /// # Panics
     /// If the sizes differ.
-    #[must_use]
     pub fn plus(mut self, times: f64, others: &Self) -> Self {
         assert_eq!(self.sizes, others.sizes);
         accumulate(&mut self.second, &others.second, times);
@@ -204,7 +203,6 @@ impl Normal {
     ///
     /// # Panics
     /// If sizes or memories differ.
-    #[must_use]
     pub fn plus(mut self, times: f64, others: &Self) -> Self {
         assert_eq!((self.sizes, self.lags), (others.sizes, others.lags));
         accumulate(&mut self.g, &others.g, times);

@@ -47,7 +47,6 @@ impl History {
     }
 
     /// Gaussian low-pass with −3 dB at `cutoff` (Hz), normalised at the ends.
-    #[must_use]
     fn smooth(&self, cutoff: f64) -> Self {
         let deviation = (0.5 * 2f64.ln()).sqrt() / (std::f64::consts::PI * cutoff * self.dt);
         let reach = (3.5 * deviation).ceil() as i64;

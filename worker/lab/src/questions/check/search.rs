@@ -47,7 +47,6 @@ pub struct ChannelFinding {
 
 impl ChannelFinding {
     /// Whether the channel is compared with the model.
-    #[must_use]
     pub fn is_compared(&self) -> bool {
         !self.silent && self.aliased.is_none()
     }
