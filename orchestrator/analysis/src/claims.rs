@@ -5,6 +5,7 @@
 //! logarithms. Test set, held-out set and its medians are rated separately. Summaries use the held-out set, and mark verdicts
 //! that differ by medians.
 
+mod list;
 mod tables;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,6 +24,7 @@ use super::resample::{Interval, Resampling, holm};
 use super::sensors::spread;
 use super::tables::verdict_text;
 use super::trial::{Body, Cluster, Set, Trial};
+pub use list::CLAIMS;
 pub use tables::{claims_table, evidence_table, tried, tried_elsewhere};
 
 /// Share of votes that decides a claim.
@@ -131,7 +133,7 @@ impl Claim {
     /// count only for the claim about this term.
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
         let whole = |t: &Trial| matches!(t.setting.text("optimise.gradient"), None | Some("implicit"));
-        let counts = |t: &&Trial| self.specs == GRADIENT || whole(t);
+        let counts = |t: &&Trial| self.specs == list::GRADIENT || whole(t);
         let trials: Vec<&Trial> = trials.iter().filter(counts).collect();
         let own = |scene: Scene| {
             let planar = planar(&trials, scene.panels, scene.stimuli).into_iter();
@@ -210,151 +212,6 @@ fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<R
         }
     }
 }
-
-const FOUR_FORCES: &[&str] = &["claims/four-forces"];
-const GRADIENT: &[&str] = &["claims/gradient"];
-const TWO_FORCES: Option<Scene> = Some(Scene { panels: 2, sensors: Some(1), stimuli: "bell" });
-const FOUR: Option<Scene> = Some(Scene { panels: 4, sensors: None, stimuli: "bell" });
-const EIGHT: Option<Scene> = Some(Scene { panels: 8, sensors: None, stimuli: "bell" });
-
-/// All claims, in the order of the paper.
-pub const CLAIMS: [Claim; 15] = [
-    Claim {
-        says: "a trained body halves the error (K = 2, M = 1, smooth pulses)",
-        source: "Fig. 2D, 3",
-        stated: 2.0,
-        chance: CHANCE,
-        specs: &["claims/two-forces"],
-        scene: TWO_FORCES,
-        find: |stated, trials| ratio_by_set(trials, stated, error_ratio),
-    },
-    Claim {
-        says: "a network on a trained body needs 2.9 times fewer iterations to the same error",
-        source: "Fig. 2E",
-        stated: 2.9,
-        chance: CHANCE,
-        specs: &["claims/two-forces"],
-        scene: TWO_FORCES,
-        find: iterations,
-    },
-    Claim {
-        says: "after 10 000 iterations the error is still 5.8 times lower",
-        source: "Fig. S2",
-        stated: 5.8,
-        chance: CHANCE / 2.0, // tested twice: four seeds were undecided
-        specs: &["claims/long-training"],
-        scene: TWO_FORCES,
-        find: |stated, trials| ratio_by_set(trials, stated, long_ratio),
-    },
-    Claim {
-        says: "under hand-hammered blows the error of a trained body is 5.3 times lower",
-        source: "Fig. 3D, S5",
-        stated: 5.3,
-        chance: CHANCE,
-        specs: &["claims/two-forces"],
-        scene: Some(Scene { panels: 2, sensors: Some(1), stimuli: "irregular" }),
-        find: |stated, trials| ratio_by_set(trials, stated, error_ratio),
-    },
-    Claim {
-        says: "training gains more under blows than under smooth pulses",
-        source: "Fig. 3",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: &["claims/two-forces"],
-        scene: None,
-        find: blows_more,
-    },
-    Claim {
-        says: "random bodies have a larger error than the initial body",
-        source: "S4",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: &["claims/two-forces", "claims/random"],
-        scene: None,
-        find: |stated, trials| random_bodies(stated, trials, Body::Initial),
-    },
-    Claim {
-        says: "random bodies have a larger error than the trained body",
-        source: "S4",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: &["claims/two-forces", "claims/random"],
-        scene: None,
-        find: |stated, trials| random_bodies(stated, trials, Body::Optimised),
-    },
-    Claim {
-        says: "K = 4: the trained body is better with every number of sensors",
-        source: "Fig. 4B",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: every_number,
-    },
-    Claim {
-        says: "K = 4: its error has an elbow at M = 2",
-        source: "Fig. 4B",
-        stated: 2.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: elbow_at,
-    },
-    Claim {
-        says: "K = 4: the trained body with two sensors has less error than the initial body with six",
-        source: "Fig. 4B",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: |stated, trials| few_sensors_ratio(stated, 2, trials),
-    },
-    Claim {
-        says: "K = 4: on the trained body the error depends less on the placement of sensors",
-        source: "Fig. 4B",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: placements,
-    },
-    Claim {
-        says: "K = 8: the trained body is better with every number of sensors",
-        source: "Fig. 4C",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: &["sweeps/eight-forces-map"],
-        scene: EIGHT,
-        find: every_number,
-    },
-    Claim {
-        says: "K = 8: its error has an elbow at M = 4",
-        source: "Fig. 4C",
-        stated: 4.0,
-        chance: CHANCE,
-        specs: &["sweeps/eight-forces-map"],
-        scene: EIGHT,
-        find: elbow_at,
-    },
-    Claim {
-        says: "a trained body with more design parameters has less error",
-        source: "Fig. 5C",
-        stated: 1.0,
-        chance: CHANCE / 2.0, // tested twice: four seeds were undecided
-        specs: &["sweeps/disc-map"],
-        scene: None,
-        find: complexity,
-    },
-    Claim {
-        says: "not claimed: the implicit term, which the paper uses, makes better bodies",
-        source: "S2.4",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: GRADIENT,
-        scene: None,
-        find: implicit,
-    },
-];
 
 /// Whether a trial has features that the paper's trials lack: another lattice, a body from a file, frozen shifts, pressed or
 /// guided units, sensors that model chips or are not placed at random. Noise does not count.
