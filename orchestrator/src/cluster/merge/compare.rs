@@ -72,15 +72,13 @@ const LATER: [&str; 4] = ["median", "p90", "ridge", "kappa"];
 const SPECS_DIFFER: &str = "CASE WHEN json_valid(o.spec) AND json_valid(m.spec)
     THEN json_remove(o.spec, '$.stimuli.recorded.files') <> json_remove(m.spec, '$.stimuli.recorded.files') ELSE o.spec <> m.spec END";
 
-/// A discarded copy, compared with the kept one.
+/// A discarded copy, compared with the kept one. Pairs are of the discarded and of the kept copy.
 struct DiscardedCopy {
     hash: String,
     /// Input of the kept copy.
     kept: i64,
-    state: String,
-    kept_state: String,
-    reason: String,
-    kept_reason: String,
+    states: [String; 2],
+    reasons: [String; 2],
     one_simd: bool,
     /// Whether the kept copy has all its attempts: both are of the same run.
     contained: bool,
@@ -88,9 +86,8 @@ struct DiscardedCopy {
     redone: bool,
     attempts: i64,
     steps: i64,
-    /// Ids of the trial in the input and in the result.
-    old: i64,
-    new: i64,
+    /// Ids of the trial.
+    ids: [i64; 2],
 }
 
 impl DiscardedCopy {
@@ -98,17 +95,14 @@ impl DiscardedCopy {
         Ok(Self {
             hash: row.try_get("hash")?,
             kept: row.try_get("kept")?,
-            state: row.try_get("state")?,
-            kept_state: row.try_get("kept_state")?,
-            reason: row.try_get("reason")?,
-            kept_reason: row.try_get("kept_reason")?,
+            states: [row.try_get("state")?, row.try_get("kept_state")?],
+            reasons: [row.try_get("reason")?, row.try_get("kept_reason")?],
             one_simd: row.try_get("one_simd")?,
             contained: row.try_get("contained")?,
             redone: row.try_get("redone")?,
             attempts: row.try_get("attempts")?,
             steps: row.try_get("steps")?,
-            old: row.try_get("old")?,
-            new: row.try_get("new")?,
+            ids: [row.try_get("old")?, row.try_get("new")?],
         })
     }
 }
@@ -161,8 +155,8 @@ pub(super) async fn compare(
     let tables = if rows.is_empty() { Vec::new() } else { compared(out).await? };
     for copied in rows.iter().map(DiscardedCopy::of) {
         let copied = copied?;
-        let DiscardedCopy { hash, kept, state, kept_state, reason, kept_reason, attempts, steps, .. } =
-            &copied;
+        let DiscardedCopy { hash, kept, attempts, steps, .. } = &copied;
+        let ([state, kept_state], [reason, kept_reason]) = (&copied.states, &copied.reasons);
         let mut finding = |kind, what| {
             let (kept, other) = (inputs[*kept as usize].named.clone(), inputs[input].named.clone());
             summary.findings.push(Finding { kind, hash: hash.clone(), kept, other, what });
@@ -202,7 +196,7 @@ async fn differing(
     copied: &DiscardedCopy,
 ) -> sqlx::Result<String> {
     let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
-    if copied.state == copied.kept_state {
+    if copied.states[0] == copied.states[1] {
         let own = if copied.contained { &OF_ONE_RUN[..] } else { &[] };
         let columns = COMPARED.iter().chain(own);
         differ.extend(columns.map(|c| format!("CASE WHEN o.{c} IS NOT m.{c} THEN '{c} ' ELSE '' END")));
@@ -225,7 +219,8 @@ async fn differing(
     let mut names = String::new();
     for sql in statements {
         // Safe: contains only names of our own schema.
-        let query = sqlx::query_scalar::<_, String>(AssertSqlSafe(sql)).bind(copied.old).bind(copied.new);
+        let query =
+            sqlx::query_scalar::<_, String>(AssertSqlSafe(sql)).bind(copied.ids[0]).bind(copied.ids[1]);
         names += &query.fetch_one(&mut *out).await?;
         names += " ";
     }

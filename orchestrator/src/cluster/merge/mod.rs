@@ -360,7 +360,7 @@ type SourceStates = HashMap<PathBuf, String>;
 async fn read_sources(out: &Path) -> sqlx::Result<([bool; 2], SourceStates)> {
     let sql = "SELECT file, state FROM source WHERE state IS NOT NULL";
     crate::reader::ask_unchanging(out, async |db| {
-        if store::version(db).await? < MERGED {
+        if store::version(db).await? == 0 {
             return Ok(([false, out.metadata()?.len() > 0], SourceStates::new()));
         }
         let rows: Vec<(String, String)> = sqlx::query_as(sql).fetch_all(&mut *db).await?;
@@ -369,9 +369,6 @@ async fn read_sources(out: &Path) -> sqlx::Result<([bool; 2], SourceStates)> {
     })
     .await
 }
-
-/// First version of databases with a list of merged files.
-const MERGED: i64 = 7;
 
 /// Runs `work` with an input attached as `src`.
 async fn attached<T>(
