@@ -10,6 +10,7 @@
 mod instruments;
 mod search;
 mod spectra;
+mod sums;
 
 pub use instruments::{Instruments, clipped};
 pub use search::{ChannelFinding, Explanation, RecordFinding, compare};

@@ -1,5 +1,6 @@
 //! Searches for an explanation of the records: stiffness, panels, clock, axes, sensor positions. Then tests single records.
 
+use super::sums::ProductSums;
 use super::{History, Model, Record};
 use metasense_numerics::student::median;
 
@@ -92,51 +93,6 @@ impl Explanation {
     /// Delay (s) if it is the same for all records.
     pub fn lag(&self) -> Option<f64> {
         self.lags.windows(2).all(|pair| pair[0] == pair[1]).then(|| self.lags[0])
-    }
-}
-
-/// Sums over readings: squares of measured and of simulated channels, and products.
-#[derive(Debug, Clone, Default)]
-struct ProductSums {
-    measured: Vec<f64>,
-    simulated: Vec<f64>,
-    products: Vec<f64>,
-}
-
-impl ProductSums {
-    fn add(&mut self, other: &Self) {
-        if self.measured.is_empty() {
-            self.clone_from(other);
-            return;
-        }
-        let pairs = [
-            (&mut self.measured, &other.measured),
-            (&mut self.simulated, &other.simulated),
-            (&mut self.products, &other.products),
-        ];
-        for (sum, part) in pairs {
-            sum.iter_mut().zip(part).for_each(|(a, b)| *a += b);
-        }
-    }
-
-    fn correlation(&self, c: usize, d: usize) -> f64 {
-        let size = (self.measured[c] * self.simulated[d]).sqrt();
-        if size > 0.0 { self.products[c * self.simulated.len() + d] / size } else { 0.0 }
-    }
-
-    /// Correlation over the channels that are not silent, each scaled by its RMS over all records.
-    fn agreement(&self, all: &Self, source: &[Source], silent: &[bool]) -> f64 {
-        let mut sums = [0.0; 3];
-        for (c, &(d, sign)) in source.iter().enumerate() {
-            let (y, s) = (all.measured[c], all.simulated[d]);
-            if silent[c] || y == 0.0 || s == 0.0 {
-                continue;
-            }
-            sums[0] += sign * self.products[c * self.simulated.len() + d] / (y * s).sqrt();
-            sums[1] += self.measured[c] / y;
-            sums[2] += self.simulated[d] / s;
-        }
-        if sums[1] * sums[2] > 0.0 { sums[0] / (sums[1] * sums[2]).sqrt() } else { 0.0 }
     }
 }
 
@@ -270,10 +226,8 @@ impl<'a> RecordSearch<'a> {
         };
         let readings = motion.iter().zip(self.records).map(read).collect();
         let measured = std::mem::replace(&mut self.smooth, readings);
-        let mut sums = ProductSums::default();
-        for (record, motion) in motion.iter().enumerate() {
-            self.moments(record, &motion.smooth(self.cutoff), 0.0).iter().for_each(|found| sums.add(found));
-        }
+        let smooth: Vec<History> = motion.iter().map(|motion| motion.smooth(self.cutoff)).collect();
+        let sums = self.summed(&smooth, &|_| 0.0);
         self.smooth = measured;
         let moves = |c: &usize| sums.simulated.get(*c).is_some_and(|square| square.is_normal());
         let of = |c: usize| if moves(&c) { sums.correlation(c, c) } else { 1.0 };
@@ -334,11 +288,7 @@ impl<'a> RecordSearch<'a> {
             return None;
         }
         let (rows, columns) = (y.values.len(), simulated.values.len());
-        let mut found = ProductSums {
-            measured: vec![0.0; rows],
-            simulated: vec![0.0; columns],
-            products: vec![0.0; rows * columns],
-        };
+        let mut found = ProductSums::zeros(rows, columns);
         let peak = self.records[record].force.values.iter().flatten().fold(0.0f64, |m, f| m.max(f.abs()));
         let weight = peak.max(f64::MIN_POSITIVE).powi(-2);
         let mut s = vec![0.0; columns];
@@ -355,6 +305,15 @@ impl<'a> RecordSearch<'a> {
             }
         }
         Some(found)
+    }
+
+    /// Sums over all records with readings in their windows; empty if there are none.
+    fn summed(&self, simulated: &[History], lag: &dyn Fn(usize) -> f64) -> ProductSums {
+        let mut sums = ProductSums::default();
+        for (record, of) in simulated.iter().enumerate() {
+            self.moments(record, of, lag(record)).iter().for_each(|found| sums.add(found));
+        }
+        sums
     }
 
     /// Sums over all records; `None` unless more than half of them have readings in their windows.
@@ -480,11 +439,9 @@ impl<'a> RecordSearch<'a> {
     /// Evaluates an explanation: channels, single records, sensor positions.
     fn into_explanation(mut self, mut state: State, simulated: &[Vec<History>], before: f64) -> Explanation {
         let own = self.model.channels.len();
-        let all = self.pooled(simulated, &state.panels, &|r| state.lags[r]).unwrap_or_else(|| ProductSums {
-            measured: vec![0.0; state.source.len()],
-            simulated: vec![0.0; state.source.len()],
-            products: vec![0.0; state.source.len() * state.source.len()],
-        });
+        let width = state.source.len();
+        let all = self.pooled(simulated, &state.panels, &|r| state.lags[r]);
+        let all = all.unwrap_or_else(|| ProductSums::zeros(width, width));
         let strongest = |c: usize| {
             let sensor = c / own * own;
             (sensor..sensor + own).map(|d| all.correlation(c, d).abs()).fold(0.0, f64::max)
@@ -581,10 +538,7 @@ impl<'a> RecordSearch<'a> {
                 let mut sensors = scene.sensors.clone();
                 sensors[m] = unit;
                 let simulated = self.run(&state.panels, &sensors, state.stiffness);
-                let mut sums = ProductSums::default();
-                for (record, of) in simulated.iter().enumerate() {
-                    self.moments(record, of, state.lags[record]).iter().for_each(|found| sums.add(found));
-                }
+                let sums = self.summed(&simulated, &|record| state.lags[record]);
                 let at = |k: usize| {
                     if sums.measured.is_empty() { 0.0 } else { sums.correlation(m * own + k, m * own + k) }
                 };
