@@ -18,6 +18,7 @@ mod jvp;
 mod ligaments;
 mod loads;
 mod model;
+mod readings;
 mod relaxing;
 mod rest;
 mod scene;

@@ -11,8 +11,9 @@
 use super::jobs::{Job, Queue, take};
 use super::ligaments::relax;
 use super::loads::LockstepForces;
+use super::readings::read_lane;
 use super::schemes::{Drift, Scheme};
-use super::system::{System, Unit, read_lane};
+use super::system::{System, Unit};
 use super::{Counters, Forces, Outcome, Relaxation};
 use crate::Heartbeat;
 use crate::lanes::Vector;

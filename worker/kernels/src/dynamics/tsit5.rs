@@ -14,7 +14,8 @@ mod steps;
 
 use super::jobs::{Job, Queue, take};
 use super::loads::FreeForces;
-use super::system::{System, Unit, read_lane, store_lane};
+use super::readings::{read_lane, store_lane};
+use super::system::{System, Unit};
 use super::{Counters, Forces, Outcome, Tolerance};
 use crate::Heartbeat;
 use crate::lanes::{LANES, Vector};

@@ -5,7 +5,8 @@
 
 use super::super::jobs::Backward;
 use super::super::loads::FreeForces;
-use super::super::system::{System, Unit, add_into, load_lanes, store_lane};
+use super::super::readings::{load_lanes, store_lane};
+use super::super::system::{System, Unit, add_into};
 use super::super::{Counters, Forces};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::steps;
