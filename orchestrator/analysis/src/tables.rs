@@ -524,25 +524,13 @@ fn complexity_table(trials: &[&Trial]) -> Table {
         let law = found.map(|f| f.law);
         let [b_low, b_high] = ends(found.and_then(|f| f.exponent));
         let [c_low, c_high] = ends(found.and_then(|f| f.floor));
-        let held_out_error = found.and_then(|f| f.held_out);
-        let [low, high] = ends(held_out_error.and_then(|h| h.interval));
-        vec![row![
-            verdict,
-            law.map(|l| l.scale),
-            law.map(|l| l.reference),
-            law.map(|l| l.exponent),
-            b_low,
-            b_high,
-            law.map(|l| l.floor),
-            c_low,
-            c_high,
-            held_out_error.map(|h| h.at as u64),
-            held_out_error.map(|h| h.predicted),
-            held_out_error.map(|h| h.observed),
-            low,
-            high,
-            found.map(|f| &f.over)
-        ]]
+        let held_out = found.and_then(|f| f.held_out);
+        let [low, high] = ends(held_out.and_then(|h| h.interval));
+        let curve =
+            row![law.map(|l| l.scale), law.map(|l| l.reference), law.map(|l| l.exponent), b_low, b_high];
+        let floor = row![law.map(|l| l.floor), c_low, c_high, held_out.map(|h| h.at as u64)];
+        let errors = row![held_out.map(|h| h.predicted), held_out.map(|h| h.observed), low, high];
+        vec![[row![verdict], curve, floor, errors, row![found.map(|f| &f.over)]].concat()]
     })
 }
 

@@ -46,7 +46,7 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
 
     // reverse sweep: λ ← λ − rate (H + ρ) λ; each step contributes −rate ∂²L/∂x∂β λ
     let (mut lambda, mut h) = (b.clone(), vec![0.0; shape.weights()]);
-    let mut unrolled = vec![0.0; train.samples() * shape.instants * shape.inputs];
+    let mut unrolled = vec![0.0; train.all().len() * shape.instants * shape.inputs];
     for weights in path[..steps].iter().rev() {
         let curvature = Curvature::new(weights, train.all(), ws, &pool);
         let share = curvature.mixed_product(&lambda, ws, &pool);

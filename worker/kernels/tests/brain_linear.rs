@@ -155,7 +155,6 @@ fn one_factor_serves_every_shorter_memory() {
     let fit = |normal| Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
     let [all_normal, part_normal] = [&all, &part].map(|moments| moments.normal(lags));
     close(&fit(all_normal.plus(-1.0, &part_normal)), &fit(rest.normal(lags)));
-    close(&fit(all.plus(-1.0, &part).normal(lags)), &fit(rest.normal(lags)));
 }
 
 /// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩, with zero bias.

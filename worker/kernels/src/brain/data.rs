@@ -62,11 +62,6 @@ impl<F: Real> Data<F> {
         self.y[n * y.len()..(n + 1) * y.len()].copy_from_slice(y);
     }
 
-    /// N.
-    pub fn samples(&self) -> usize {
-        self.samples
-    }
-
     /// Sizes of the network.
     pub fn shape(&self) -> Shape {
         self.shape

@@ -114,21 +114,6 @@ impl Moments {
         });
     }
 
-    /// Adds `times` times the moments of `others`; −1 removes samples that both contain.
-    ///
-    /// # Panics
-    /// If the sizes differ.
-    pub fn plus(mut self, times: f64, others: &Self) -> Self {
-        assert_eq!(self.sizes, others.sizes);
-        accumulate(&mut self.second, &others.second, times);
-        accumulate(&mut self.cross, &others.cross, times);
-        accumulate(&mut self.signals, &others.signals, times);
-        accumulate(&mut self.forces, &others.forces, times);
-        self.weight += times * others.weight;
-        self.power += times * others.power;
-        self
-    }
-
     /// Normal equations of a memory.
     pub fn normal(&self, lags: Lags) -> Normal {
         let Sizes { instants, channels, outputs } = self.sizes;

@@ -89,13 +89,6 @@ pub struct Explanation {
     pub simulated: Vec<History>,
 }
 
-impl Explanation {
-    /// Delay (s) if it is the same for all records.
-    pub fn lag(&self) -> Option<f64> {
-        self.lags.windows(2).all(|pair| pair[0] == pair[1]).then(|| self.lags[0])
-    }
-}
-
 /// An explanation and its mean correlation over channels.
 #[derive(Debug, Clone)]
 struct State {
