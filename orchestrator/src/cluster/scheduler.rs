@@ -28,8 +28,8 @@ impl SchedulerName {
         match self {
             Self::Slurm => &slurm::Slurm,
             Self::Hq => &hq::Hq,
-            Self::Local => &own::Local,
-            Self::Ssh => &own::Ssh,
+            Self::Local => &own::Own::Local,
+            Self::Ssh => &own::Own::Ssh,
         }
     }
 }

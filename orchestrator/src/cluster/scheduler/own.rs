@@ -3,70 +3,44 @@
 use super::{Scheduler, SubmitOption};
 use crate::cluster::submit::{ABOUT, Submission};
 
-/// This machine.
-#[derive(Debug)]
-pub(super) struct Local;
-
-/// Machines that share the folder.
-#[derive(Debug)]
-pub(super) struct Ssh;
-
-impl Scheduler for Local {
-    fn name(&self) -> &'static str {
-        "local"
-    }
-
-    fn program(&self) -> &'static str {
-        "sh"
-    }
-
-    fn refusal(&self, option: SubmitOption) -> Option<&'static str> {
-        match option {
-            SubmitOption::Time => Some(NO_LIMIT),
-            SubmitOption::AtMost => None,
-            SubmitOption::Hosts => Some("it is for `cluster submit ssh`"),
-            SubmitOption::Further => Some("no scheduler receives them"),
-            SubmitOption::FurtherForMerge => Some(NO_MERGE_JOB),
-        }
-    }
-
-    fn shard_script(&self, submission: &Submission) -> String {
-        shard_script(submission)
-    }
+/// Where the shards run.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Own {
+    /// On this machine.
+    Local,
+    /// On machines that share the folder.
+    Ssh,
 }
 
-impl Scheduler for Ssh {
-    fn name(&self) -> &'static str {
-        "ssh"
-    }
-
-    fn program(&self) -> &'static str {
-        "ssh"
-    }
-
-    fn refusal(&self, option: SubmitOption) -> Option<&'static str> {
-        match option {
-            SubmitOption::Time => Some(NO_LIMIT),
-            SubmitOption::AtMost | SubmitOption::Hosts | SubmitOption::Further => None,
-            SubmitOption::FurtherForMerge => Some(NO_MERGE_JOB),
-        }
-    }
-
-    fn shard_script(&self, submission: &Submission) -> String {
-        shard_script(submission)
-    }
-}
-
-const NO_LIMIT: &str = "shards run here without a limit";
 pub(super) const NO_MERGE_JOB: &str = "no job merges";
 
-fn shard_script(submission: &Submission) -> String {
-    format!(
-        "#!/bin/sh\n\
-         {ABOUT}\
-         # also after SIGTERM. Argument: number of the shard.\n\
-         exec {} {}\n",
-        submission.run("$1", None),
-        submission.output("$1")
-    )
+impl Scheduler for Own {
+    fn name(&self) -> &'static str {
+        if *self == Self::Local { "local" } else { "ssh" }
+    }
+
+    fn program(&self) -> &'static str {
+        if *self == Self::Local { "sh" } else { "ssh" }
+    }
+
+    fn refusal(&self, option: SubmitOption) -> Option<&'static str> {
+        match option {
+            SubmitOption::Time => Some("shards run here without a limit"),
+            SubmitOption::FurtherForMerge => Some(NO_MERGE_JOB),
+            SubmitOption::Hosts if *self == Self::Local => Some("it is for `cluster submit ssh`"),
+            SubmitOption::Further if *self == Self::Local => Some("no scheduler receives them"),
+            SubmitOption::AtMost | SubmitOption::Hosts | SubmitOption::Further => None,
+        }
+    }
+
+    fn shard_script(&self, submission: &Submission) -> String {
+        format!(
+            "#!/bin/sh\n\
+             {ABOUT}\
+             # also after SIGTERM. Argument: number of the shard.\n\
+             exec {} {}\n",
+            submission.run("$1", None),
+            submission.output("$1")
+        )
+    }
 }
