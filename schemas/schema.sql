@@ -338,6 +338,19 @@ LEFT JOIN band i ON i.trial_id = c.trial_id AND i.body = c.body AND i.casting = 
 LEFT JOIN band s ON s.trial_id = c.trial_id AND s.body = c.body AND s.casting = c.casting AND s.reader = c.reader
   AND s.records = c.records AND s.kind = 'sample';
 
+CREATE VIEW v_task AS
+SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
+  CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
+  CAST(coalesce(t.spec->>'$.optimise.brain', 'cnn') AS TEXT) AS trained_with,
+  CAST(coalesce(t.spec->>'$.brain.task', 'forces') AS TEXT) AS trained_for, CAST(r.value->>'$.body' AS TEXT) AS body,
+  CAST(r.value->>'$.task' AS TEXT) AS task, CAST(r.value->>'$.readout' AS TEXT) AS readout,
+  CAST(r.value->>'$.unit' AS TEXT) AS unit, CAST(r.value->>'$.error' AS REAL) AS error,
+  CAST(r.value->>'$.interval[0]' AS REAL) AS low, CAST(r.value->>'$.interval[1]' AS REAL) AS high,
+  CAST(r.value->>'$.least' AS REAL) AS least, CAST(r.value->>'$.trivial' AS REAL) AS trivial,
+  CAST(r.value->>'$.samples' AS INTEGER) AS samples, CAST(r.value->>'$.score' AS REAL) AS score,
+  CAST(r.value->'$.detail' AS TEXT) AS detail
+FROM trial t, json_each(t.result, '$.tasks') r;
+
 CREATE VIEW v_under AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,

@@ -176,6 +176,21 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:12: stimuli.test = 12: must be less than stimuli.samples = 12: the rest",
     ),
     ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
+    (
+        "test = 4",
+        "test = 4\nanywhere = true\nsilent = 0.5",
+        "s.toml:13: stimuli.anywhere = true: cannot be set together with silent, offset and angle",
+    ),
+    (
+        "test = 4\n[sweep]\npanels = [2]",
+        "test = 4\nanywhere = true\n[sweep]\npanels = [1]",
+        "s.toml:13: stimuli.anywhere = true: needs at least two panels (sweep.panels)",
+    ),
+    (
+        "kind = \"bell\"",
+        "kind = \"mix\"\nanywhere = true",
+        "s.toml:11: stimuli.anywhere = true: has no effect on this stimuli.kind",
+    ),
     ("test = 4", "test = 4\nsilent = 1.5", "s.toml:13: stimuli.silent = 1.5: must lie between 0 and 0.99"),
     (
         "kind = \"bell\"",
@@ -617,6 +632,10 @@ const TABLES: &[(&str, &str)] = &[
         "[brain]\nkind = \"linear\"\ntask = \"count\"",
         "s.toml:15: brain.task = \"count\": the label is the same in all training samples: vary [stimuli]",
     ),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"kind\"",
+        "s.toml:15: brain.task = \"kind\": the label is the same in all training samples: vary [stimuli]",
+    ),
     ("[brain]\nkind = \"linear\"\ntask = \"force\"", "s.toml:15: brain.task = \"force\": must be \"forces\""),
     (
         "[brain]\nkind = \"linear\"\ntask = \"peak\"\nmemory = [0.1, 0.0]",
@@ -634,6 +653,17 @@ const TABLES: &[(&str, &str)] = &[
         "[brain]\nkind = \"linear\"\ntask = \"all\"\n[variation]\nnodes = 0.1",
         "s.toml:15: brain.task = \"all\": remove [variation] and optimise.objective",
     ),
+    (
+        "[evaluation]\ntasks = true",
+        "s.toml:11: stimuli.samples = 12: sensing tasks need ten samples with force for training",
+    ),
+    ("[evaluation]\ntasks = 1", "s.toml:14: evaluation.tasks = 1: must be true or false"),
+    ("[goal]\nerror = 5.0\ntasks = { panel = 0.0 }", "s.toml:15: goal.tasks.panel = 0.0: must be above 0"),
+    (
+        "[goal]\nerror = 5.0\ntasks = { forces = 1.0 }",
+        "s.toml:15: goal.tasks.forces = 1.0: must be above 0, and the task one of panel, count",
+    ),
+    ("[goal]\nerror = 5.0\ntasks = { place = 1.0 }", "s.toml:15: goal.tasks"),
     ("[until]\npaired = 0.2\nconfidence = 1.5", "s.toml:15: until.confidence = 1.5: must lie in [0.5, 1)"),
     (
         "[[evaluation.under]]\nkind = \"bell\"\nwidth = [0.1, 0.2, 0.3]",

@@ -131,6 +131,8 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     assert_eq!(optimise("tie = [1, 1]\nfrozen = []"), plain);
     assert_eq!(optimise("frozen = [7, 8]"), optimise("frozen = [8, 7]"));
     assert_ne!(optimise("tie = [2, 1]")[1], plain[1]);
+    let anywhere = |value: &str| hashes(&SPEC.replace("[sweep]", &format!("anywhere = {value}\n[sweep]")));
+    assert!(anywhere("false") == plain && anywhere("true")[1] != plain[1]);
     assert_ne!(hashes(&SPEC.replace("bend = 1.0", "bend = 1.5"))[1], plain[1]);
     assert_eq!(
         hashes(&SPEC.replace("[1, 2]", "[2, 3]"))[1],
@@ -227,6 +229,7 @@ fn committed_specs_keep_their_hashes() {
     gradient c39bace70d622cb2
     long-training 656d530cd0c8056b
     placed-two-core 6a5121d9e7f59190
+    position-two-core 8958caced7162d33
     pressed db1612c5ed646b46
     protocol-map 462515f2d2ebde28
     quickstart 68d08d6f16f7ca41

@@ -100,7 +100,7 @@ fn in_onnxruntime(folder: &Path) -> bool {
 
 /// Compiles an exported decoder with its test, without warnings, and runs it. Returns whether it gives the trial's predictions.
 /// With a sanitizer, undefined behaviour is a failure.
-fn holds(compiler: &str, source: &str, folder: &Path) -> (bool, String) {
+pub fn holds(compiler: &str, source: &str, folder: &Path) -> (bool, String) {
     // gcc finds some problems only when it optimises
     let level = if compiler == "clang" { "-O1" } else { "-O2" };
     let strict = [level, "-Wall", "-Wextra", "-pedantic", "-Werror"].into_iter();
@@ -108,7 +108,7 @@ fn holds(compiler: &str, source: &str, folder: &Path) -> (bool, String) {
 }
 
 /// The same with any options.
-fn compiled<'a>(
+pub fn compiled<'a>(
     compiler: &str,
     options: impl Iterator<Item = &'a str>,
     source: &str,

@@ -1,7 +1,19 @@
 //! Tasks other than forces, estimated from the signals of finished trials' bodies.
 
 use crate::common::{Bench, light};
+use crate::exports::{between, compiled, holds};
+use crate::files::execute;
 use serde_json::Value;
+
+/// A spec of trials whose samples suffice for readouts of tasks.
+fn with_samples() -> String {
+    light()
+        .replace(
+            "samples = 8\ntest = 2\nholdout = 2\n",
+            "samples = 60\ntest = 12\nholdout = 40\nsilent = 0.3\n",
+        )
+        .replace("[brain]\niterations = 10\nwidth = 16\n", "[brain]\nkind = \"linear\"\n")
+}
 
 /// Every task on both bodies of each trial with both readouts; the table pairs them.
 #[test]
@@ -83,4 +95,192 @@ fn a_sweep_trains_a_body_per_task() {
     let with_memory = spec.replace("kind = \"linear\"\n", "kind = \"linear\"\nmemory = [0.1, 0.0]\n");
     let (own, short) = (hashes("s.toml", &spec), hashes("t.toml", &with_memory));
     assert_eq!([0, 1, 2].map(|i| own[i] == short[i]), [false, true, true], "only forces use the memory");
+}
+
+/// With `evaluation.tasks`, a trial stores the rows that `body tasks` otherwise computes, and nothing else changes: hashes without
+/// it, errors, counts of work. Designs are not needed again. Databases of earlier builds get the view.
+#[test]
+fn a_trial_stores_its_tasks() {
+    let bench = Bench::new();
+    let spec = with_samples().replace("iterations = 4\nbatch = 4", "iterations = 8\nbatch = 24");
+    let on = format!("{spec}[evaluation]\ntasks = true\n");
+    bench.file("off.toml", &spec);
+    bench.file("on.toml", &on);
+    bench.file("no.toml", &on.replace("tasks = true", "tasks = false"));
+    let hashes = |name: &str| {
+        let listed: Vec<Value> =
+            serde_json::from_str(&bench.output(&["expand", name, "--format", "json"])).unwrap();
+        listed.iter().map(|row| row["hash"].to_string()).collect::<Vec<_>>()
+    };
+    assert_eq!(hashes("off.toml"), hashes("no.toml"));
+    assert!(hashes("off.toml").iter().all(|hash| !hashes("on.toml").contains(hash)));
+    for name in ["off", "on"] {
+        bench.output(&["run", &format!("{name}.toml"), "--db", &format!("{name}.sqlite")]);
+    }
+    let query =
+        |name: &str, sql: &str| bench.output(&["query", &format!("{name}.sqlite"), sql, "--format", "csv"]);
+    let same = "SELECT holdout_error_initial, holdout_error_optimised, error_optimised FROM v_trial ORDER BY sensors, seed";
+    assert_eq!(query("off", same), query("on", same));
+    let counters = "SELECT result->>'$.counters' FROM trial ORDER BY sensors, seed";
+    assert_eq!(query("off", counters), query("on", counters));
+    assert_eq!(bench.number("off.sqlite", "SELECT count(*) FROM v_task"), 0);
+
+    let rows = |name: &str| {
+        let rows = bench.output(&["body", "tasks", &format!("{name}.sqlite"), "--format", "json"]);
+        let mut rows: Vec<Value> = serde_json::from_str(&rows).unwrap();
+        rows.iter_mut().for_each(|row| drop(row.as_object_mut().unwrap().remove("hash")));
+        rows
+    };
+    let computed = rows("off");
+    execute(&bench.path("on.sqlite"), "DELETE FROM artifact");
+    assert_eq!(rows("on"), computed);
+    let stored = query(
+        "on",
+        "SELECT body, task, readout, error, low, high, least, trivial, samples, score FROM v_task",
+    );
+    assert_eq!(stored.lines().count(), 1 + computed.len());
+
+    // gain per task, as an answer, in the report, and the same as in the table of `body tasks`
+    let answer = bench.output(&["analyse", "on.sqlite", "--question", "tasks", "--format", "csv"]);
+    assert!(
+        answer.starts_with("setting,M,trained_for,task,readout,unit,trials,trivial,initial,optimised,ratio"),
+        "{answer}"
+    );
+    bench.output(&["report", "on.sqlite", "--out", "r.html", "--out-dir", "r"]);
+    let text = |name: &str| std::fs::read_to_string(bench.path(name)).unwrap();
+    assert_eq!(text("r/tasks.csv").lines().count(), answer.lines().count());
+    assert!(
+        answer.lines().nth(1).is_some_and(|row| !row.contains(",1.0,,")),
+        "training changes errors: {answer}"
+    );
+    let page = text("r.html");
+    for words in [
+        "What does training gain for other sensing tasks?",
+        "panel, trained body (%)",
+        "position, mean error (mm)",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+    bench.output(&["report", "off.sqlite", "--out", "off.html"]);
+    assert!(!text("off.html").contains("other sensing tasks"));
+
+    // a database of an earlier build
+    execute(&bench.path("on.sqlite"), "DROP VIEW v_task");
+    assert_eq!(query("on", "SELECT count(*) FROM v_task").lines().last(), Some(&*computed.len().to_string()));
+    bench.output(&["run", "off.toml", "--db", "on.sqlite"]);
+    assert_eq!(query("on", "SELECT count(*) FROM sqlite_schema WHERE name = 'v_task'"), "count(*)\n1\n");
+}
+
+/// A requirement per task excludes designs; without stored tasks, or for a constant label, it is refused.
+#[test]
+fn a_goal_can_require_tasks() {
+    let bench = Bench::new();
+    let spec = with_samples().replace("sensors = [1, 2]", "sensors = [1, 2]\nplacements = 1");
+    let goal = |tasks: &str| {
+        format!(
+            "{spec}[goal]\nerror = 1000.0\nfresh = 3\nconfidence = 0.5\ntasks = {tasks}\n[evaluation]\ntasks = true\n"
+        )
+    };
+    let design = |text: &str, db: &str| {
+        bench.file("s.toml", text);
+        let out = bench.metasense(&["design", "s.toml", "--db", db, "--format", "csv"]);
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+        (out.status.code(), text(out.stdout), text(out.stderr))
+    };
+    let (code, table, said) = design(&goal("{ panel = 200.0, peak = 10.0 }"), "met.sqlite");
+    assert!(code == Some(0) && said.contains("meets 1000 %, panel: 200 %, peak: 10 N"), "{table}{said}");
+    let (code, table, said) = design(&goal("{ panel = 200.0, peak = 1e-6 }"), "met.sqlite");
+    assert!(code == Some(1) && said.contains("no design was confirmed"), "{table}{said}");
+    let refused = |text: &str, what: &str| {
+        let (code, _, said) = design(text, "none.sqlite");
+        assert!(code == Some(2) && said.contains(what), "{said}");
+    };
+    let off = goal("{ panel = 5.0 }").replace("[evaluation]\ntasks = true\n", "");
+    refused(&off, "goal.tasks: applies to trials that estimate tasks: set evaluation.tasks = true");
+    let constant = goal("{ panel = 5.0, count = 5.0 }").replace("silent = 0.3\n", "");
+    refused(&constant, "goal.tasks.count = 5.0: its label is the same in all training samples");
+}
+
+/// The readouts of a trial in C give the trial's errors and estimates; with other weights their test fails. ONNX is refused.
+#[test]
+fn readouts_are_exported_as_c() {
+    let bench = Bench::new();
+    let spec = with_samples()
+        .replace("iterations = 4\nbatch = 4", "iterations = 3\nbatch = 24")
+        .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.task\" = [\"panel\", \"position\", \"all\"]");
+    bench.file("s.toml", &format!("{spec}[evaluation]\ntasks = true\n"));
+    bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
+    let trials: Vec<Value> = serde_json::from_str(&bench.output(&[
+        "query",
+        "s.sqlite",
+        "SELECT hash, json_group_array(json_array(task, error)) AS errors, trained_for FROM v_task
+         WHERE body = 'optimised' AND readout = 'direct' GROUP BY hash",
+        "--format",
+        "json",
+    ]))
+    .unwrap();
+    assert_eq!(trials.len(), 3);
+    for trial in &trials {
+        let hash = trial["hash"].as_str().unwrap();
+        let export = |format: &str, numbers: &str| {
+            let call = ["export", "s.sqlite", hash, "--format", format, "--out", "b.c"];
+            let more = ["--numbers", numbers];
+            bench.metasense(&[&call[..], if numbers == "f32" { &[] } else { &more[..] }].concat())
+        };
+        for numbers in ["f32", "i16", "i8"] {
+            assert!(export("c", numbers).status.success());
+            let source = std::fs::read_to_string(bench.path("b.c")).unwrap();
+            let (good, said) = holds("cc", &source, &bench.path(""));
+            assert!(good && said.contains("20 samples"), "{trial} {numbers}: {said}");
+            let (weight, other) =
+                (between(&source, "STEP[] = {", "}").to_owned(), "\n    3e4f, 3e4f, 3e4f,\n");
+            let wrong = source.replacen(&weight, other, 1);
+            let (passes, _) = compiled("cc", std::iter::empty(), &wrong, &bench.path(""));
+            assert!(!passes || trial["trained_for"] == "all", "{trial} {numbers}: other weights");
+            if numbers == "i8" {
+                continue;
+            }
+            let errors: Vec<(String, f64)> = serde_json::from_str(trial["errors"].as_str().unwrap()).unwrap();
+            for (task, error) in errors.iter().filter(|(task, _)| source.contains(&format!("     {task}: ")))
+            {
+                let line = between(&source, &format!("     {task}: "), "\n");
+                let stated: f64 = between(line, "held-out error ", " ").parse().unwrap();
+                assert!((stated - error).abs() < 0.02 * error + 1e-4, "{task} {numbers}: {stated} {error}");
+            }
+            let bytes: usize = between(&source, "constants ", " bytes").parse().unwrap();
+            assert!(bytes < 2000 || trial["trained_for"] == "all", "{bytes}");
+        }
+        let refused = export("onnx", "f32");
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && said.contains("use --format c"), "{said}");
+    }
+    let hash = trials[0]["hash"].as_str().unwrap();
+    bench.output(&["export", "s.sqlite", hash, "--format", "device", "--out", "d"]);
+    let source = std::fs::read_to_string(bench.path("d/brain.c")).unwrap();
+    assert!(holds("cc", &source, &bench.path("")).0 && !bench.path("d/brain.onnx").exists());
+}
+
+/// A sample's part of a mixture is a class, estimated from signals alone; `all` does not include it.
+#[test]
+fn the_kind_of_force_is_a_task_of_mixtures() {
+    let bench = Bench::new();
+    let gauss = "kind = \"gauss\"\nwidth = [0.01, 0.02]\nonset = [0.05, 0.1]\nanywhere = true";
+    let blow = "kind = \"irregular\"\nonset = [0.0, 0.1]";
+    let parts = [gauss, blow].map(|keys| format!("[[stimuli.mix]]\nweight = 0.5\n{keys}\n")).concat();
+    let spec = light()
+        .replace("samples = 8\ntest = 2\nholdout = 2\n", "samples = 60\ntest = 20\nholdout = 40\n")
+        .replace("kind = \"bell\"", "kind = \"mix\"")
+        .replace("width = [0.05, 0.1]\nonset = [0.0, 0.1]\n", &parts)
+        .replace("[brain]\niterations = 10\nwidth = 16\n", "[brain]\nkind = \"linear\"\n")
+        .replace("iterations = 4\nbatch = 4", "iterations = 2\nbatch = 24")
+        .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.task\" = [\"kind\", \"all\"]");
+    bench.file("s.toml", &spec);
+    bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
+    let rows: Vec<Value> =
+        serde_json::from_str(&bench.output(&["body", "tasks", "s.sqlite", "--format", "json"])).unwrap();
+    let kind: Vec<&Value> = rows.iter().filter(|row| row["task"] == "kind").collect();
+    assert_eq!(kind.len(), 4, "two trials of two bodies: {rows:?}");
+    assert!(kind.iter().all(|row| row["readout"] == "direct" && row["trivial"].as_f64() > Some(20.0)));
+    let trained = "SELECT count(DISTINCT holdout_error_optimised) FROM v_trial WHERE state = 'done'";
+    assert_eq!(bench.number("s.sqlite", trained), 2);
 }

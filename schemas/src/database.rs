@@ -9,6 +9,17 @@ pub const VERSION: usize = 15;
 /// SQL that creates the tables and views of this version in an empty file.
 pub const SCHEMA: &str = include_str!("../schema.sql");
 
+/// SQL that creates one of the views.
+///
+/// # Panics
+/// If there is no such view.
+#[must_use]
+pub fn view_sql(view: &str) -> &'static str {
+    let start = SCHEMA.find(&format!("CREATE VIEW {view} AS")).expect("the schema creates the view");
+    let end = SCHEMA[start..].find(';').expect("a statement ends");
+    &SCHEMA[start..=start + end]
+}
+
 /// Stable views, each with a description of its rows.
 pub const VIEWS: &[(&str, &str)] = &[
     (
@@ -53,6 +64,13 @@ pub const VIEWS: &[(&str, &str)] = &[
         "error (%) of a linear decoder on the initial or the trained body under one kind of forces (`evaluation.under`), for any \
          training forces of the body: `own`: fitted under these forces; `carried`: fitted under those of the trial; a body that cannot \
          be simulated counts as 100 %; median, p90, above and rms as in v_cast",
+    ),
+    (
+        "v_task",
+        "error of a readout of a sensing task on the initial or the trained body (`evaluation.tasks`), in `unit`, with its 95 % interval \
+         over held-out samples: `direct`: fitted to the signals; `decoded`: from the forces that a linear decoder estimates; `trivial`: \
+         error of the best estimate without signals; `least`: resolution of the error; `score`: balanced accuracy (%) of classes, R² of \
+         values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm), samples]",
     ),
     (
         "v_network",

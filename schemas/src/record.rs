@@ -357,6 +357,43 @@ pub struct UnderReading {
     pub spread: Option<Spread>,
 }
 
+/// Error of a readout of a sensing task on a body (`evaluation.tasks`).
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct TaskReading {
+    /// `initial` or `optimised`.
+    pub body: String,
+    /// Name of the task; `forces`: the force histories.
+    pub task: String,
+    /// `direct`: fitted to the signals; `decoded`: from the forces that a linear decoder estimates.
+    pub readout: String,
+    /// Unit of the error.
+    pub unit: String,
+    /// Error on the held-out set.
+    pub error: Option<f64>,
+    /// Its 95 % confidence interval over samples.
+    pub interval: [Option<f64>; 2],
+    /// Resolution of the error: half the contribution of one wrong class, or of one instant; 0 without such steps.
+    pub least: f64,
+    /// Error of the best estimate without signals.
+    pub trivial: Option<f64>,
+    /// Number of held-out samples.
+    pub samples: u32,
+    /// Balanced accuracy (%) of classes; R² of values.
+    pub score: Option<f64>,
+    /// Of a class, true class, estimated class, number of samples; of a position, panel with the greatest force, mean error (mm),
+    /// number of samples; else empty.
+    pub detail: Vec<[f64; 3]>,
+}
+
+impl TaskReading {
+    /// Whether both are of the same task and readout.
+    #[must_use]
+    pub fn is_like(&self, other: &Self) -> bool {
+        (&self.task, &self.readout) == (&other.task, &other.readout)
+    }
+}
+
 /// Result of a finished trial.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -389,6 +426,8 @@ pub struct TrialResult {
     pub bands: [Vec<Band>; 2],
     /// Errors of both bodies under other kinds of forces, if requested.
     pub under: Vec<UnderReading>,
+    /// Errors of readouts of all tasks on both bodies, if requested.
+    pub tasks: Vec<TaskReading>,
     /// Drawings (SVG) of the initial and of the trained body by an external body's program; empty: none.
     pub drawings: Vec<String>,
 }

@@ -8,7 +8,7 @@ use metasense_numerics::nested::{self, Best, CastDecoder, PastDesign, State};
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
     self, BodyEvaluation, CastReading, Checkpoint, Comparison, Counters, ImplicitRecord, Moments,
-    NetworkEvaluation, Placed, Reading, Seconds, Spread, StepRecord, Training, UnderReading,
+    NetworkEvaluation, Placed, Reading, Seconds, Spread, StepRecord, TaskReading, Training, UnderReading,
 };
 use metasense_schemas::spec::TrialSpec;
 
@@ -225,6 +225,24 @@ pub fn under_readings(trial: &TrialSpec, under: &[Vec<nested::UnderReading>; 2])
     .collect()
 }
 
+/// Errors of readouts of all tasks on the initial (0) or trained (1) body.
+pub fn task_readings(body: usize, found: &[brains::TaskEstimate]) -> Vec<TaskReading> {
+    let reading = |estimate: &brains::TaskEstimate| TaskReading {
+        body: ["initial", "optimised"][body].into(),
+        task: estimate.task.0.into(),
+        readout: estimate.readout.into(),
+        unit: estimate.task.1.into(),
+        error: finite(Some(estimate.error)),
+        interval: estimate.interval.map(|end| finite(Some(end))),
+        least: estimate.least,
+        trivial: finite(Some(estimate.trivial)),
+        samples: estimate.samples as u32,
+        score: finite(Some(estimate.score)),
+        detail: estimate.detail.clone(),
+    };
+    found.iter().map(reading).collect()
+}
+
 /// The inverse of [`cast_readings`].
 fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastEvaluation>, String> {
     let reading = |reading: &CastReading| {
@@ -326,6 +344,7 @@ fn comparison_from(comparison: Comparison, problem: &Problem) -> Result<nested::
         bodies: bodies.into_iter().map(evaluation_from).collect::<Result<_, _>>()?,
         casts: Vec::new(),
         bands: Vec::new(),
+        tasks: Vec::new(),
         training: training.map(fresh),
         counters: trial::Counters {
             dynamics: dynamics::Counters {

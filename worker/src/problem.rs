@@ -7,10 +7,11 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::{RECORDS_MIN, Task, fits};
-use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, PartFactors, Scene, Solver, Stiffness};
+use metasense_numerics::dynamics::{
+    Accuracy, Contact, Forces, Frame, Method, PartFactors, Scene, Solver, Stiffness,
+};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
-use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::{
     Body, BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule,
     Training,
@@ -110,6 +111,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             casts: casts(trial)?,
             records: trial.evaluation.records.unwrap_or(true),
             initial: trial.evaluation.initial.unwrap_or(true),
+            tasks: trial.evaluation.tasks == Some(true),
         },
         under: under(trial)?,
         seed: trial.point.seed,
@@ -117,7 +119,44 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         scene,
     };
     problem.tasks = tasks(trial, &problem)?;
+    if problem.evaluation.tasks {
+        estimable(trial, &problem)?;
+    }
     Ok(problem)
+}
+
+/// Checks that readouts of tasks can be fitted to the samples of a trial and tested.
+///
+/// # Errors
+/// Names the key that must change.
+pub fn estimable(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
+    let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
+    let remedy = "is too large for the linear decoder of the whole sample, which sensing tasks need: lower it, or use fewer sensors";
+    require(readable, "time.samples", trial.time.samples, remedy)?;
+    let [train, _] = problem.training_and_test();
+    let remedy = "sensing tasks need ten samples with force for training (without stimuli.test): raise it, or lower stimuli.silent";
+    require(with_force(&train) >= RECORDS_MIN, "stimuli.samples", trial.stimuli.samples, remedy)?;
+    let remedy = "sensing tasks need ten held-out samples with force: raise it, or lower stimuli.silent";
+    require(with_force(&problem.holdout()) >= RECORDS_MIN, "stimuli.holdout", trial.stimuli.holdout, remedy)
+}
+
+/// Names of the tasks whose labels vary among the training samples of a trial.
+///
+/// # Errors
+/// If the spec is invalid.
+pub fn varied_tasks(trial: &TrialSpec) -> Result<Vec<&'static str>, Invalid> {
+    Ok(problem(trial).map(|problem| varied(&problem))?.into_iter().map(|task| task.name().0).collect())
+}
+
+/// The tasks whose labels vary among the training samples.
+fn varied(problem: &Problem) -> Vec<Task> {
+    let ([train, _], [parts, ..]) = (problem.training_and_test(), problem.parts());
+    problem.labeller().varied(&problem.targets(&train), &parts, problem.scene.instants)
+}
+
+/// Number of samples with force.
+fn with_force(forces: &Forces) -> usize {
+    (0..forces.samples).filter(|&i| forces.sample(i).iter().any(|f| *f != 0.0)).count()
 }
 
 /// The quantities that readouts estimate; empty: the decoder estimates forces.
@@ -130,6 +169,7 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
         spec::Task::Peak => Some(Task::Peak),
         spec::Task::Impulse => Some(Task::Impulse),
         spec::Task::Onset => Some(Task::Onset),
+        spec::Task::Kind => Some(Task::Kind),
         spec::Task::All => None,
     };
     let check =
@@ -149,14 +189,13 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
     }
-    let [train, _] = problem.training_and_test();
-    let forces = targets(&train, problem.scene.instants, problem.low_pass());
-    let varied = problem.labeller().varied(&forces, problem.scene.instants);
+    let mut varied = varied(problem);
+    varied.retain(|varied| task.map_or(*varied != Task::Kind, |task| *varied == task));
     let remedy = "the label is the same in all training samples: vary [stimuli] (stimuli.silent varies the number of struck \
-                  panels), or choose another task";
-    check(!varied.is_empty() && task.is_none_or(|task| varied.contains(&task)), remedy)?;
+                  panels, stimuli.kind = \"mix\" the kind), or choose another task";
+    check(!varied.is_empty(), remedy)?;
     at_least("stimuli.test", trial.stimuli.test, RECORDS_MIN)?;
-    Ok(task.map_or(varied, |task| vec![task]))
+    Ok(varied)
 }
 
 /// The part of a problem that its body gives.

@@ -117,6 +117,7 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
         casts: optimised.casts.map(|casts| convert::cast_readings(&casts)),
         bands: optimised.bands.map(|bands| convert::bands(&bands)),
         under: convert::under_readings(trial, &optimised.under),
+        tasks: (0..2).flat_map(|body| convert::task_readings(body, &optimised.tasks[body])).collect(),
         drawings: Vec::new(),
     }
 }

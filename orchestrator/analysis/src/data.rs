@@ -45,7 +45,8 @@ const LONG: &str = "evaluation.long_iterations";
 
 /// Settings of further evaluations of finished bodies. They separate only trials that both have such a setting and differ in
 /// it: training over casts also appears in the objective.
-const FURTHER_EVALUATION: &[&str] = &["evaluation.casts", "evaluation.under", "variation."];
+const FURTHER_EVALUATION: &[&str] =
+    &["evaluation.casts", "evaluation.tasks", "evaluation.under", "variation."];
 
 /// Settings that differ between numbers of sensors.
 pub const SENSORS: &[&str] = &["point.sensors"];

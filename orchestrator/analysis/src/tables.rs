@@ -20,6 +20,7 @@ use super::resample::Interval;
 use super::run_time::{CensoredTime, mean_seconds, median_time, pareto, parts, round_errors};
 use super::scaling::{Scaling, scaling};
 use super::sensors::{Spread, fewer, spread};
+use super::tasks;
 use super::transfer;
 use super::trial::{Body, Set, Trial};
 use metasense_render::{Table, row};
@@ -35,6 +36,8 @@ pub enum Question {
     Casts,
     /// Bodies trained under one kind of forces and evaluated under others (evaluation.under): error, and the kept part of the specialist's gain
     Transfer,
+    /// Error of readouts of sensing tasks by the task of the training (evaluation.tasks), gain by training, elbow of the error against M
+    Tasks,
     /// Ratio of training iterations on the initial and on the trained body, to equal error and loss
     Iterations,
     /// Initial against trained body after long training (evaluation.long_iterations)
@@ -89,6 +92,9 @@ impl Question {
             }
             Self::Transfer => {
                 "Held-out error (%, geometric mean) under a kind of forces, by body and decoder: fitted under these forces (own), or under the training forces of the body (carried); kept: the gain as a fraction of that of the body trained under this kind, in logarithms, with decoders fitted under it (95 % intervals)"
+            }
+            Self::Tasks => {
+                "Held-out error of sensing tasks in their units (means over trials), by the task for which the body was trained; trivial: of the best estimate without signals; ratio: initial / trained body (95 % interval); elbow: of the trained body's error against M, in logarithms"
             }
             Self::Iterations => {
                 "Iterations on the initial body divided by iterations on the trained body, to equal held-out error and training loss"
@@ -151,6 +157,7 @@ impl Question {
             Self::Brains => brains_table(&trials),
             Self::Casts => casts_table(&trials),
             Self::Transfer => transfer_table(&trials),
+            Self::Tasks => tasks_table(&trials),
             Self::Iterations => iterations_table(&trials),
             Self::Long => long_table(&trials),
             Self::Sensors => sensors_table(&trials, terms),
@@ -276,6 +283,11 @@ fn transfer_table(trials: &[&Trial]) -> Table {
     let columns = "setting body under trials own own_low own_high carried carried_low carried_high kept kept_low \
         kept_high over note";
     Table::new(columns, rows)
+}
+
+fn tasks_table(trials: &[&Trial]) -> Table {
+    let trained: Vec<&Trial> = trials.iter().copied().filter(|trial| trial.has_steps()).collect();
+    tasks::table(&tasks::results(&trained))
 }
 
 fn paired_table(trials: &[&Trial]) -> Table {

@@ -1,6 +1,7 @@
 //! A finished trial: settings and results that the analysis uses.
 
 pub use metasense_numerics::nested::CastDecoder;
+use metasense_schemas::record::TaskReading;
 
 use super::setting::Setting;
 
@@ -167,6 +168,8 @@ pub struct Trial {
     pub casts: Vec<CastReading>,
     /// Errors of both bodies under other kinds of forces; empty without `evaluation.under`.
     pub under: Vec<UnderReading>,
+    /// Errors of readouts of all tasks on both bodies; empty without `evaluation.tasks`.
+    pub tasks: Vec<TaskReading>,
     /// Part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
     /// `[initial, trained][acceleration, rotation]`. `None` before version 6.
     pub nonlinear: [[Option<f64>; 2]; 2],

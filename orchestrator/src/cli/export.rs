@@ -178,7 +178,13 @@ fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
         Form::Parquet => series::table(stored, &replays(stored, cores())?).written(Format::Parquet),
         Form::Npy => unreachable!("written above, whatever the body is"),
         Form::Svg => picture(stored, body, &cast()?, args),
-        Form::C => encode_c(stored, args, &brain(stored, args)?)?,
+        Form::C => source_in_c(stored, args)?,
+        Form::Onnx if !estimates_forces(stored) => {
+            return Err(Error::Usage(
+                "--format onnx: writes decoders of forces; this trial reads out brain.task: use --format c"
+                    .into(),
+            ));
+        }
         Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,
         Form::Dxf => {
             let cast = cast()?;
@@ -199,15 +205,15 @@ fn device(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Res
     let which = args.design as usize;
     let (cavity, measures) = cavity(stored, body, cast, args)?;
     let brain = match has_form(stored, which) {
-        true => Some(brain(stored, args)?),
+        true if !estimates_forces(stored) => Some((source_in_c(stored, args)?, None)),
+        true => {
+            let brain = brain(stored, args)?;
+            Some((encode_c(stored, args, &brain)?, Some(onnx::onnx(stored, which, &brain)?)))
+        }
         false if args.numbers.is_some() || args.reader.is_some() => {
             return Err(no_form("with --numbers or --reader, --format device"));
         }
         false => None,
-    };
-    let brain = match &brain {
-        Some(brain) => Some((encode_c(stored, args, brain)?, onnx::onnx(stored, which, brain)?)),
-        None => None,
     };
     let text = brain.as_ref().map(|(c, _)| String::from_utf8_lossy(c));
     let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
@@ -220,7 +226,10 @@ fn device(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Res
         ("design.npy", design(stored, args)),
         ("README.md", notes.into_bytes()),
     ];
-    files.extend(brain.into_iter().flat_map(|(c, onnx)| [("brain.c", c), ("brain.onnx", onnx)]));
+    if let Some((c, onnx)) = brain {
+        files.push(("brain.c", c));
+        files.extend(onnx.map(|onnx| ("brain.onnx", onnx)));
+    }
     make_folder(&args.out)?;
     files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
 }
@@ -267,6 +276,22 @@ fn brain(stored: &StoredTrial, args: &Args) -> Result<(Replay, ReplayDecoder), E
 fn encode_c(stored: &StoredTrial, args: &Args, brain: &(Replay, ReplayDecoder)) -> Result<Vec<u8>, Error> {
     let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
     Ok(device::c(stored, args.design as usize, fit, brain, numbers)?.into_bytes())
+}
+
+/// The decoder of a trial in C: that of the forces, or the readouts of its tasks.
+fn source_in_c(stored: &StoredTrial, args: &Args) -> Result<Vec<u8>, Error> {
+    if estimates_forces(stored) {
+        return encode_c(stored, args, &brain(stored, args)?);
+    }
+    if args.reader == Some(Fit::Casts) {
+        return Err(Error::Usage(format!("--reader casts: the trial has {NO_VARIATION}")));
+    }
+    let numbers = args.numbers.unwrap_or(Numbers::F32);
+    Ok(device::readout::c(stored, args.design as usize, numbers, cores())?.into_bytes())
+}
+
+fn estimates_forces(stored: &StoredTrial) -> bool {
+    stored.spec().brain.task.is_forces()
 }
 
 /// The error for a decoder that cannot be written as C or ONNX.

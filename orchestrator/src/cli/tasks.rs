@@ -2,19 +2,19 @@
 
 use std::path::PathBuf;
 
-use metasense_lab::tasks::{TaskEstimate, tasks};
-use metasense_schemas::spec::{Point, Task};
-use metasense_worker::problem::as_written;
-use serde_json::{Value, json};
+use metasense_lab::tasks::{Task, tasks};
+use metasense_schemas::record::TaskReading;
+use serde_json::Value;
 
 use super::named::Database;
 use super::{Error, Format, cores, print_rows};
-use crate::analysis::Cluster;
-use crate::analysis::kinds::brains_of;
-use crate::analysis::tasks::{TaskResult, matrix, table};
+use crate::analysis::kinds::brains;
+use crate::analysis::tasks::{matrix, results, table, trained_for};
+use crate::analysis::{Body, Cluster, Trial};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::reader::{Reader, StoredTrial};
+use crate::report::load::finished_trials;
 
 /// Estimates quantities other than forces from finished bodies: where, how many, when
 ///
@@ -26,7 +26,7 @@ use crate::reader::{Reader, StoredTrial};
 /// over samples and a score: balanced accuracy (%) of classes, R² of values. Tasks: forces (% of their squares); panel, the panel
 /// with the greatest force (% wrong); count, the number of panels with more than a tenth of it (% wrong); position, the panels'
 /// mean position weighted by impulse (mm); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds a tenth of
-/// the greatest (ms). A task whose label is the same in all samples is omitted.
+/// the greatest (ms); kind, the part of `stimuli.mix` (% wrong; direct only). A task whose label is the same in all samples is omitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database
@@ -40,79 +40,78 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let sql = "SELECT hash FROM v_trial WHERE state = 'done' ORDER BY panels, sensors, placement, seed, hash";
-    let (mut trials, mut rows, mut all) = (0, Vec::new(), Vec::new());
-    Reader::with_reader(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
-        let hashes: Vec<String> = match &args.hash {
-            Some(hash) => vec![reader.hash_of(hash).await?],
-            None => {
-                let found = reader.query::<Table>(sql).await?.rows;
-                found.iter().filter_map(|row| row[0].as_str().map(str::to_owned)).collect()
-            }
-        };
-        for hash in hashes {
-            if let Some(stored) = reader.stored(&hash).await? {
-                trials += 1;
-                of_trial(&stored, &mut rows, &mut all)?;
+    let trials = Reader::with_reader(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
+        let mut trials = finished_trials(reader).await?;
+        if let Some(hash) = &args.hash {
+            let hash = reader.hash_of(hash).await?;
+            trials.retain(|trial| trial.hash == hash);
+        }
+        for trial in &mut trials {
+            if Body::ALL.iter().any(|body| !has_estimates(trial, *body))
+                && let Some(stored) = reader.stored(&trial.hash).await?
+            {
+                estimate(&stored, trial)?;
             }
         }
-        Ok(())
+        Ok(trials)
     })
     .await?;
-    if trials == 0 {
+    let Some(first) = trials.first() else {
         let db = args.db.display();
         return Err(Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`")));
+    };
+    let names = Task::ALL.map(|task| task.name().0);
+    let constant: Vec<&str> =
+        names.into_iter().filter(|name| first.tasks.iter().all(|read| read.task != *name)).collect();
+    if !constant.is_empty() {
+        say!("omitted, because their labels are the same in all samples: {}", constant.join(", "));
     }
     let columns = "hash panels sensors placement seed trained_with trained_for body task readout unit error low high least trivial samples score";
     match args.format {
         Format::Table => {
-            print_rows(&table(&all), Format::Table)?;
+            let all = results(&trials.iter().collect::<Vec<_>>());
+            let mut means = table(&all);
+            if means.rows.iter().all(|row| row.last().is_some_and(Value::is_null)) {
+                means.drop_columns(&["elbow"]);
+            }
+            print_rows(&means, Format::Table)?;
             if let Some(matrix) = matrix(&all) {
                 print_line!("\nratio initial/trained by the task of the training:")?;
                 print_rows(&matrix, Format::Table)?;
             }
         }
-        format => print_rows(&Table::new(columns, rows), format)?,
+        format => print_rows(&Table::new(columns, trials.iter().flat_map(rows)), format)?,
     }
     Ok(Exit::Done)
 }
 
-/// Appends the readings of both bodies as rows and as pairs.
-fn of_trial(trial: &StoredTrial, rows: &mut Vec<Vec<Value>>, all: &mut Vec<TaskResult>) -> Result<(), Error> {
-    let point = &trial.specs[1].point;
-    let mut spec = trial.specs[1].clone();
-    let trained_for = as_written(&std::mem::replace(&mut spec.brain.task, Task::Forces)).replace('"', "");
-    let [_, with] = brains_of(&json!(spec));
-    let cluster = Cluster { placement: point.placement as u64, seed: point.seed };
-    let mut bodies = Vec::new();
-    for (body, name) in ["initial", "optimised"].into_iter().enumerate() {
-        let (found, constant) = tasks(&trial.specs[body], &trial.designs[body], cores())
+fn has_estimates(trial: &Trial, body: Body) -> bool {
+    trial.tasks.iter().any(|read| read.body == body.name())
+}
+
+/// Adds the estimates that the trial has not stored.
+fn estimate(stored: &StoredTrial, trial: &mut Trial) -> Result<(), Error> {
+    for body in Body::ALL.into_iter().filter(|body| !has_estimates(trial, *body)).collect::<Vec<_>>() {
+        let of = body as usize;
+        let found = tasks(&stored.specs[of], of, &stored.designs[of], cores())
             .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
-        if body == 0 && rows.is_empty() && !constant.is_empty() {
-            let names: Vec<&str> = constant.iter().map(|task| task.name().0).collect();
-            say!("omitted, because their labels are the same in all samples: {}", names.join(", "));
-        }
-        for reading in &found {
-            let [low, high] = reading.interval;
-            let Point { panels, sensors, placement, seed } = point;
-            let head = row![trial.hash, panels, sensors, placement, seed, with, trained_for, name];
-            let TaskEstimate { task: (task, unit), readout, error, least, trivial, samples, score, .. } =
-                reading;
-            rows.push(
-                [head, row![task, readout, unit, error, low, high, least, trivial, samples, score]].concat(),
-            );
-        }
-        bodies.push(found);
+        trial.tasks.extend(found);
     }
-    all.extend(bodies[0].iter().zip(&bodies[1]).map(|(initial, trained)| TaskResult {
-        setting: format!("K = {}, M = {}, {with}", point.panels, point.sensors),
-        cluster,
-        trained_for: trained_for.clone(),
-        task: initial.task,
-        readout: initial.readout,
-        errors: [initial.error, trained.error],
-        trivial: initial.trivial,
-        error_min: initial.least,
-    }));
+    trial.tasks.sort_by_key(|read| read.body != Body::Initial.name());
     Ok(())
+}
+
+fn rows(trial: &Trial) -> Vec<Vec<Value>> {
+    let trained_for = trained_for(trial);
+    let [_, with] = brains(&trial.setting);
+    let with = with.replace(&format!(" for {trained_for}"), "");
+    let Cluster { placement, seed } = trial.cluster;
+    let row = |read: &TaskReading| {
+        let head =
+            row![trial.hash, trial.panels, trial.sensors, placement, seed, with, trained_for, read.body];
+        let TaskReading { task, readout, unit, error, interval, least, trivial, samples, score, .. } = read;
+        [head, row![task, readout, unit, error, interval[0], interval[1], least, trivial, samples, score]]
+            .concat()
+    };
+    trial.tasks.iter().map(row).collect()
 }

@@ -35,6 +35,8 @@ pub fn notes(
             "| brain.c | the decoder, C99; its head describes how to call and test it, and what it needs |"
                 .into(),
         );
+    }
+    if brain.is_some() && spec.brain.task.is_forces() {
         lines
             .push("| brain.onnx | the decoder as an ONNX graph in 32-bit floats, for whole samples |".into());
     }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use metasense_lab::demands::Demands;
 use metasense_schemas::record::Trial;
 use metasense_schemas::spec::{
-    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, Point, SweepSpec, TrialSpec, flatten,
+    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, Point, SweepSpec, Task, TrialSpec, flatten,
 };
 use metasense_source::{Source, SpecError};
 pub use metasense_worker::RUNGS;
@@ -32,6 +32,13 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
         _ => true,
     };
     let casts = spec.variation.is_some() && spec.evaluation.casts != Some(0);
+    for (task, most) in goal.tasks.iter().flatten() {
+        if matches!(task, Task::Forces | Task::All) || !above(Some(*most)) {
+            let remedy =
+                "must be above 0, and the task one of panel, count, position, peak, impulse, onset and kind";
+            return Err(source.error(&format!("goal.tasks.{}", task.name()), remedy));
+        }
+    }
     for (key, holds, remedy) in [
         ("goal.error", above(Some(goal.error)), "must be a number above 0"),
         ("goal.quantile", goal.quantile.is_none_or(|q| q > 0.0 && q <= 1.0), "must be above 0 and at most 1"),
@@ -125,6 +132,8 @@ impl Space {
         for (number, trial) in plan.trials.iter().enumerate() {
             let reader =
                 reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
+            tasks_are_estimated(&goal, &trial.spec)
+                .map_err(|(key, remedy)| plan.source.error(&key, &remedy))?;
             let wrong = |e: Invalid| plan.source.error_with(&e.key, Some(&e.value), &e.remedy);
             let demands = Demands::of_trial(&trial.spec).map_err(wrong)?;
             let weighed = goal.mass.is_some() || goal.size.is_some();
@@ -261,6 +270,29 @@ fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastDecoder>, &'stati
             return Err("a network is not fitted to records of a cast: must be \"design\" or \"casts\"");
         }
     }))
+}
+
+/// Checks that a trial estimates the tasks of the goal.
+///
+/// # Errors
+/// The key that must change, and the remedy.
+fn tasks_are_estimated(goal: &Goal, trial: &TrialSpec) -> Result<(), (String, String)> {
+    let Some(tasks) = &goal.tasks else { return Ok(()) };
+    let wrong = |key: &str, remedy: &str| (key.to_owned(), remedy.to_owned());
+    if trial.evaluation.tasks != Some(true) {
+        return Err(wrong(
+            "goal.tasks",
+            "applies to trials that estimate tasks: set evaluation.tasks = true",
+        ));
+    }
+    let varied = problem::varied_tasks(trial).map_err(|e| wrong(&e.key, &e.remedy))?;
+    match tasks.keys().find(|task| !varied.contains(&task.name())) {
+        None => Ok(()),
+        Some(task) => Err(wrong(
+            &format!("goal.tasks.{}", task.name()),
+            "its label is the same in all training samples: vary [stimuli], or remove this requirement",
+        )),
+    }
 }
 
 /// Keys in which the trials' settings differ, one per pattern of values, keys of the sweep first; and the settings as

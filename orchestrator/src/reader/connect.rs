@@ -14,7 +14,7 @@ use crate::files;
 use crate::leftovers;
 use crate::sql;
 use crate::store::{
-    OPENING, StoreError, check_version, has_journal, is_not_opened, is_still, options, sidecar,
+    OPENING, StoreError, add_views, check_version, has_journal, is_not_opened, is_still, options, sidecar,
 };
 
 /// A read-only connection and what it reads.
@@ -43,6 +43,7 @@ pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connecte
         return Err(StoreError::NotOurs(path.to_owned()));
     }
     sql::register(&mut found.connection).await.map_err(at)?;
+    add_views(&mut found.connection, "CREATE TEMP").await.map_err(at)?;
     allow(&mut found.connection, AccessLevel::Reading).await.map_err(at)?;
     Ok(found)
 }

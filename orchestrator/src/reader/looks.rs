@@ -29,6 +29,8 @@ pub struct TrialProgress {
     pub holdout: Option<f64>,
     /// Errors (%) on casts, by decoder and number of calibration records.
     pub casts: HashMap<(String, u32), Vec<f64>>,
+    /// Held-out error of the optimised body by task, with the better readout.
+    pub tasks: HashMap<String, f64>,
 }
 
 impl Reader {
@@ -78,6 +80,15 @@ impl Reader {
             if let Some(standing) = found.get_mut(row.text("hash")) {
                 let reader = (row.text("reader").to_owned(), row.count("records") as u32);
                 standing.casts.entry(reader).or_default().push(row.number("error").unwrap_or(FAILED));
+            }
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        let sql =
+            "SELECT hash, task, min(error) AS error FROM v_task WHERE body = 'optimised' GROUP BY hash, task";
+        self.each(sql, |row| {
+            if let (Some(standing), Some(error)) = (found.get_mut(row.text("hash")), row.number("error")) {
+                standing.tasks.insert(row.text("task").to_owned(), error);
             }
             Ok::<_, StoreError>(())
         })

@@ -64,6 +64,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     said.extend(super::brains::answers(trials));
     said.extend(super::casts::answers(trials));
     said.extend(super::transfer::answers(trials));
+    said.extend(super::tasks::answers(trials));
     said.extend(long_answer(&refs));
     for group in groups(&refs, SENSORS).iter().filter(|g| g.varies(|t| t.sensors)) {
         said.extend(sensors(group, terms));

@@ -109,6 +109,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.readings().await?;
     loader.casts().await?;
     loader.under().await?;
+    loader.tasks().await?;
     trials.shrink_to_fit();
     for trial in &mut trials {
         trial.remove_trained_results();
@@ -366,6 +367,20 @@ impl Loader<'_> {
             let (stimuli, own) = (row.text("stimuli").to_owned(), row.count("own") == 1);
             let median = row.number("median").filter(|error| *error > 0.0);
             trial.under.push(UnderReading { body, stimuli, own, error, median });
+            Ok(())
+        })
+        .await
+    }
+
+    async fn tasks(&mut self) -> Result<(), StoreError> {
+        let sql = "SELECT id AS trial_id, result->'$.tasks' AS tasks FROM trial
+             WHERE state = 'done' AND json_array_length(result, '$.tasks') > 0";
+        self.each(sql, |trial, row| {
+            trial.tasks = serde_json::from_str(row.text("tasks")).map_err(|e| StoreError::Unreadable {
+                hash: trial.hash.clone(),
+                what: "result",
+                message: e.to_string(),
+            })?;
             Ok(())
         })
         .await

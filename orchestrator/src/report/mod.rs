@@ -14,6 +14,7 @@ pub mod records;
 pub mod samples;
 pub mod search;
 pub mod strips;
+mod tasks;
 mod transfer;
 mod words;
 
@@ -86,6 +87,7 @@ pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<Strin
         brains::figure(trials),
         casts::figure(trials),
         transfer::figure(trials),
+        tasks::figure(trials),
         figures::sensors(trials, story.terms),
         figures::placed_sensors(trials),
         figures::random_bodies(trials),

@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-use metasense_schemas::spec::{GoalReader, GoalReaderName, TrialSpec};
+use metasense_lab::tasks;
+use metasense_schemas::spec::{Goal, GoalReader, GoalReaderName, TrialSpec};
 use metasense_source::SpecError;
 use metasense_worker::FAILED;
 
@@ -39,7 +40,8 @@ const STAGES: [(&str, &str); 4] = [
 /// Legend of the table's columns, one line each.
 pub const COLUMNS: [&str; 6] = [
     "one row per class of candidates of equal cost, the cheapest first; hash, setting, stage and errors are those of its best candidate",
-    "error: expected error on a further seed (%), from its fresh seeds or predicted from other trials",
+    "error: expected error on a further seed (%), from its fresh seeds or predicted from other trials; with goal.tasks, goal.error times \
+     the greatest ratio of an error to its requirement",
     "keeps_to: error (%) that it does not exceed on a further seed with the probability goal.confidence",
     "meets: of a confirmed design the probability that its error on a further seed is at most goal.error; of others the probability that \
      they will be confirmed",
@@ -102,7 +104,13 @@ impl SearchState {
         let of = goal
             .quantile
             .map_or(String::new(), |q| format!(" at the {:.0}th percentile of casts", 100.0 * q));
-        format!("{} %{of}", number(goal.error))
+        let unit = |name: &str| {
+            let mut known = tasks::Task::ALL.into_iter().map(tasks::Task::name);
+            known.find(|(task, _)| *task == name).map_or("", |(_, unit)| unit)
+        };
+        let tasks = goal.tasks.iter().flatten().map(|(task, most)| (task.name(), *most));
+        let tasks = tasks.map(|(name, most)| format!(", {name}: {} {}", number(most), unit(name)));
+        format!("{} %{of}{}", number(goal.error), tasks.collect::<String>())
     }
 
     /// The outcome, one sentence per line.
@@ -354,11 +362,21 @@ impl SearchData {
     }
 }
 
-/// The error (%) of a stored trial to which the requirement applies.
+/// The error (%) of a stored trial to which the requirement applies. If tasks are required, too, an error of a task counts as the
+/// same multiple of `goal.error` as it is of its own requirement.
 fn error(space: &Space, place: &SearchTrial, standing: &TrialProgress) -> Option<f64> {
     let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0)));
     let error = standing.error(reader.as_ref().zip(space.goal.quantile));
-    error.filter(|e| e.is_finite() && *e > 0.0)
+    let error = error.filter(|e| e.is_finite() && *e > 0.0)?;
+    let Some(tasks) = &space.goal.tasks else { return Some(error) };
+    let multiples = tasks.iter().map(|(task, most)| Some(standing.tasks.get(task.name())? / most));
+    let worst = multiples.reduce(|a, b| Some(a?.max(b?))).unwrap_or(Some(0.0))?;
+    Some(error.max(space.goal.error * worst))
+}
+
+/// Error (%) of a body that failed, above the requirement.
+fn missed(goal: &Goal) -> f64 {
+    if goal.tasks.is_none() { FAILED } else { FAILED.max(2.0 * goal.error) }
 }
 
 /// A candidate with the results of its trial at each level.
@@ -410,8 +428,8 @@ fn fresh(
     let told = judges.map_while(|judged| {
         let standing = standings.get(&judged.hash)?;
         match standing.state.as_str() {
-            "done" => Some(error(space, place, standing).unwrap_or(FAILED)),
-            "failed" => Some(FAILED),
+            "done" => Some(error(space, place, standing).unwrap_or(missed(&space.goal))),
+            "failed" => Some(missed(&space.goal)),
             _ => None,
         }
     });

@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use metasense_schemas::database::{APPLICATION_ID, SCHEMA, VERSION};
+use metasense_schemas::database::{APPLICATION_ID, SCHEMA, VERSION, VIEWS, view_sql};
 use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
@@ -201,10 +201,22 @@ pub(crate) async fn create(path: &Path) -> Result<(), StoreError> {
     connection.close().await.map_err(at)
 }
 
-/// Creates tables and views in an empty database (version 0), in one transaction.
+/// Adds the views that an earlier build of this version did not create: `create` is `CREATE`, or `CREATE TEMP` for one connection.
+pub(crate) async fn add_views(connection: &mut SqliteConnection, create: &str) -> sqlx::Result<()> {
+    let names = "SELECT name FROM sqlite_schema WHERE type = 'view'";
+    let known: Vec<String> = sqlx::query_scalar(names).fetch_all(&mut *connection).await?;
+    for (view, _) in VIEWS.iter().filter(|(view, _)| !known.iter().any(|name| name == view)) {
+        // Safe: contains only our own text.
+        let sql = AssertSqlSafe(view_sql(view).replacen("CREATE", create, 1));
+        sqlx::raw_sql(sql).execute(&mut *connection).await?;
+    }
+    Ok(())
+}
+
+/// Creates tables and views in an empty database (version 0), in one transaction; in others only missing views.
 pub(crate) async fn add_schema(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
     if version > 0 {
-        return Ok(());
+        return add_views(connection, "CREATE").await;
     }
     let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
     sqlx::raw_sql(SCHEMA).execute(&mut *transaction).await?;

@@ -14,6 +14,8 @@ use metasense_schemas::spec::SweepSpec;
 pub struct KnownKeys {
     /// Allowed values of each key, in words.
     allowed: BTreeMap<String, String>,
+    /// Tables of numbers by name, such as `goal.tasks`.
+    numbers: Vec<String>,
     schema: Value,
 }
 
@@ -26,9 +28,9 @@ impl KnownKeys {
 
     pub(super) fn of_type<T: JsonSchema>() -> Self {
         let schema = schemars::schema_for!(T).to_value();
-        let mut allowed = BTreeMap::new();
-        add_keys(&schema, &schema, "", &mut allowed);
-        Self { allowed, schema }
+        let (mut allowed, mut numbers) = (BTreeMap::new(), Vec::new());
+        add_keys(&schema, &schema, "", &mut allowed, &mut numbers);
+        Self { allowed, numbers, schema }
     }
 
     pub(super) fn paths(&self) -> impl Iterator<Item = &str> {
@@ -41,7 +43,8 @@ impl KnownKeys {
     }
 
     pub(super) fn contains(&self, path: &str) -> bool {
-        self.allowed.contains_key(path)
+        let entry = path.rsplit_once('.').is_some_and(|(table, _)| self.numbers.iter().any(|t| t == table));
+        entry || self.allowed.contains_key(path)
     }
 
     /// Returns the keys that may be an axis: those of a trial.
@@ -123,19 +126,28 @@ fn longer(schema: &Value, root: &Value, value: &Value, path: &str) -> Option<Str
     own.or_else(|| found?.into_iter().next())
 }
 
-fn add_keys(schema: &Value, root: &Value, prefix: &str, allowed: &mut BTreeMap<String, String>) {
+fn add_keys(
+    schema: &Value,
+    root: &Value,
+    prefix: &str,
+    allowed: &mut BTreeMap<String, String>,
+    numbers: &mut Vec<String>,
+) {
     let schema = resolved(schema, root);
+    if schema["additionalProperties"]["type"] == "number" {
+        numbers.push(prefix.to_owned());
+    }
     for choice in ["anyOf", "allOf"] {
         for part in schema[choice].as_array().into_iter().flatten() {
-            add_keys(part, root, prefix, allowed);
+            add_keys(part, root, prefix, allowed, numbers);
         }
     }
     if let Some(entry) = schema.get("items") {
-        add_keys(entry, root, prefix, allowed);
+        add_keys(entry, root, prefix, allowed, numbers);
     }
     for (name, inner) in schema["properties"].as_object().into_iter().flatten() {
         let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-        add_keys(inner, root, &path, allowed);
+        add_keys(inner, root, &path, allowed, numbers);
         allowed.insert(path, either(&values(inner, root)));
     }
 }

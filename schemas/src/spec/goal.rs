@@ -1,7 +1,11 @@
 //! The requirement that a search for a design must meet (`[goal]`).
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use super::Task;
 
 /// A requirement on body, sensors and decoder together. `metasense design` searches the lists of the sweep for the cheapest
 /// design that meets it; `metasense run` ignores it.
@@ -10,6 +14,10 @@ use serde::{Deserialize, Serialize};
 pub struct Goal {
     /// Largest error on samples that are not used for training. Unit: %. Default: must be given.
     pub error: f64,
+    /// Largest error of each sensing task, by the better of its two readouts, such as `{ panel = 5.0, position = 5.0 }`. Needs
+    /// `evaluation.tasks = true`. Unit: that of the task (`metasense body tasks --help`). Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tasks: Option<BTreeMap<Task, f64>>,
     /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: none: the error of
     /// the body as designed counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]

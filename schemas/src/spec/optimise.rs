@@ -36,7 +36,7 @@ pub enum BrainKind {
 }
 
 /// Quantity that a decoder estimates. Of a task other than `forces`, a sample has one label.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Task {
     /// The force history of each panel.
@@ -54,7 +54,9 @@ pub enum Task {
     Impulse,
     /// The time at which a force first exceeds a tenth of the sample's greatest (ms).
     Onset,
-    /// All of them that vary, except `forces`, with equal weights.
+    /// The part of `stimuli.mix` that the sample has: its kind of forces.
+    Kind,
+    /// All of them that vary, except `forces` and `kind`, with equal weights.
     All,
 }
 
@@ -63,6 +65,22 @@ impl Task {
     #[must_use]
     pub fn is_forces(&self) -> bool {
         *self == Self::Forces
+    }
+
+    /// Its name in specs and the database.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Forces => "forces",
+            Self::Panel => "panel",
+            Self::Count => "count",
+            Self::Position => "position",
+            Self::Peak => "peak",
+            Self::Impulse => "impulse",
+            Self::Onset => "onset",
+            Self::Kind => "kind",
+            Self::All => "all",
+        }
     }
 }
 
@@ -430,6 +448,9 @@ pub struct Evaluation {
     /// Whether the initial body is evaluated, too, to measure the gain by training. It takes half of the comparison. A search for
     /// a design (`[goal]`) does not need it. Default: true.
     pub initial: Option<bool>,
+    /// Whether readouts of all sensing tasks (`brain.task`) are fitted to both bodies and stored (`v_task`). `metasense body tasks`
+    /// otherwise simulates the bodies again. Default: false.
+    pub tasks: Option<bool>,
 }
 
 /// Default number of networks per body, and of casts per body with a variation.
@@ -443,7 +464,8 @@ impl Evaluation {
         let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
         let under =
             self.under.as_ref().map(|kinds| kinds.iter().map(|kind| kind.resolved(stimuli)).collect());
-        Self { seeds: Some(self.networks()), casts, under, ..self }
+        let tasks = self.tasks.filter(|estimated| *estimated);
+        Self { seeds: Some(self.networks()), casts, under, tasks, ..self }
     }
 
     /// Reduces the settings to those of a linear decoder, which is fitted once.
@@ -455,6 +477,7 @@ impl Evaluation {
             under: self.under,
             initial: self.initial,
             records: self.records,
+            tasks: self.tasks,
             ..Self::default()
         }
     }

@@ -77,6 +77,9 @@ pub struct Part {
     /// As `stimuli.silent`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub silent: Option<f64>,
+    /// As `stimuli.anywhere`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub anywhere: bool,
     /// As `stimuli.offset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<f64>,
@@ -90,10 +93,10 @@ impl Part {
     #[must_use]
     pub fn alone(&self, whole: &Stimuli) -> Stimuli {
         let Self { kind, amplitude, width, onset, peak, power, offset, angle, .. } = *self;
-        let Self { roughness, double, gap, rebound, silent, .. } = *self;
+        let Self { roughness, double, gap, rebound, silent, anywhere, .. } = *self;
         let recorded = whole.recorded.clone().filter(|_| kind == StimuliKind::Recorded);
         let pulse = Stimuli { amplitude, width, onset, peak, power, offset, angle, ..whole.clone() };
-        Stimuli { kind, mix: None, recorded, roughness, double, gap, rebound, silent, ..pulse }
+        Stimuli { kind, mix: None, recorded, roughness, double, gap, rebound, silent, anywhere, ..pulse }
     }
 
     /// Fills in the defaults of the kind.
@@ -165,6 +168,11 @@ pub struct Stimuli {
     /// Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub silent: Option<f64>,
+    /// Whether each sample has a single blow, at a random point of the line through the panels in their order: between a random
+    /// pair of neighbours, uniform from one to the other. Its force is divided between the two in inverse proportion to the
+    /// distances. Not for recorded forces, and without `silent`, `offset` and `angle`. Default: false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub anywhere: bool,
     /// Standard deviation of the distance by which blows miss a panel's centroid, across its direction; a normal draw per sample
     /// and panel. Such a blow rotates the unit. Unit: mm. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -27,6 +27,7 @@ pub use evaluation::{
     BandCoverage, BodyEvaluation, CastDecoder, CastEvaluation, Comparison, NetworkEvaluation, Optimised,
     Regularisation,
 };
+pub use fresh::{estimate_tasks, fit_readouts};
 pub use inversion::INVERTED_PER_CAST;
 pub use nonlinear::{EXACT, Nonlinear};
 pub use observe::{Control, NoObserver, Observe};

@@ -98,6 +98,7 @@ fn a_state_survives_its_checkpoint() {
             bodies: vec![body.clone(), nested::BodyEvaluation { long: Vec::new(), ..body.clone() }],
             casts: vec![casts.clone(), casts[..2].to_vec()],
             bands: vec![bands.clone(), Vec::new()],
+            tasks: Vec::new(),
             training,
             counters: trial::Counters { brain_iterations: 5, ..Default::default() },
             seconds: nested::Seconds { train: 2.0, ..Default::default() },

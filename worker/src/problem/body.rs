@@ -136,7 +136,7 @@ pub fn driven(body: &spec::Body) -> Vec<usize> {
 }
 
 /// The panels that a spec lists, and their key.
-fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
+pub(super) fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
     match body.polygons() {
         Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
         _ => ("body.panels", &body.panels),

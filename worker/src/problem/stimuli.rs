@@ -6,7 +6,7 @@ use metasense_numerics::stimuli::{Bell, Gauss, Irregular, Source, StrikeScatter}
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
-use super::body::lengths;
+use super::body::{lengths, listed};
 use super::{INSTANTS_MAX, SAMPLES_MAX};
 use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, not_negative, require};
 use crate::records;
@@ -50,11 +50,29 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
     let silent = stimuli.silent.unwrap_or_default();
     let remedy = "must lie between 0 and 0.99";
     require((0.0..=0.99).contains(&silent), "stimuli.silent", silent, remedy)?;
-    let source = if silent > 0.0 { Source::Silent(silent, Box::new(source)) } else { source };
+    let source = match (anywhere(trial, stimuli)?, silent > 0.0) {
+        (true, _) => Source::Anywhere(Box::new(source)),
+        (_, true) => Source::Silent(silent, Box::new(source)),
+        _ => source,
+    };
     Ok(match hand(trial, stimuli)? {
         Some(hand) => Source::Struck(hand, Box::new(source)),
         None => source,
     })
+}
+
+/// Whether each sample has one blow at a random point between neighbouring panels.
+fn anywhere(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<bool, Invalid> {
+    if stimuli.anywhere {
+        let check = |holds: bool, remedy: &str| require(holds, "stimuli.anywhere", true, remedy);
+        check(trial.point.panels > 1, "needs at least two panels (sweep.panels), between which blows act")?;
+        let others = [stimuli.silent, stimuli.offset, stimuli.angle].map(Option::unwrap_or_default);
+        check(others == [0.0; 3], "cannot be set together with silent, offset and angle")?;
+        let is_push = |panel: &spec::Struck| panel.base.is_none() && panel.couple.is_none();
+        let pushes = listed(&trial.body).1.iter().take(trial.point.panels).all(is_push);
+        check(pushes, "needs panels on which forces act, without base and couple in body.panels")?;
+    }
+    Ok(stimuli.anywhere)
 }
 
 /// Standard deviations of the offset and angle of blows; `None` if both are 0.
@@ -199,13 +217,14 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
     let hand = hand.map(|(key, deviation)| (key, deviation.map(|d| d.to_string())));
     let files = [("recorded", stimuli.recorded.as_ref().map(|_| "{ … }".to_owned()))];
     let mix = [("mix", stimuli.mix.as_ref().map(|_| "[{ … }]".to_owned()))];
-    let silent = [("silent", stimuli.silent.map(|p| p.to_string()))];
+    let silent = ("silent", stimuli.silent.map(|p| p.to_string()));
+    let anywhere = ("anywhere", stimuli.anywhere.then(|| "true".to_owned()));
     let unread: Vec<_> = match stimuli.kind {
         StimuliKind::Bell => blow.into_iter().chain(files).chain(mix).collect(),
         StimuliKind::Gauss => pulse.into_iter().skip(3).chain(blow).chain(files).chain(mix).collect(),
-        StimuliKind::Irregular => files.into_iter().chain(mix).chain(silent).collect(),
-        StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).chain(silent).collect(),
-        StimuliKind::Mix => pulse.into_iter().chain(blow).chain(hand).chain(silent).collect(),
+        StimuliKind::Irregular => files.into_iter().chain(mix).chain([silent]).collect(),
+        StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).chain([silent, anywhere]).collect(),
+        StimuliKind::Mix => pulse.into_iter().chain(blow).chain(hand).chain([silent, anywhere]).collect(),
     };
     for (key, value) in unread {
         if let Some(value) = value {

@@ -2,6 +2,7 @@ use super::*;
 use metasense_numerics::body::Pattern;
 use metasense_numerics::dynamics::{Panel, PrescribedMotion, Strike};
 use metasense_numerics::random::Purpose;
+use metasense_numerics::stimuli::point;
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
 use serde_json::{Value, json};
 
@@ -418,4 +419,73 @@ fn a_mixture_takes_each_sample_from_one_of_its_kinds() {
         drawn.push(bell);
     }
     assert!(drawn[0] != drawn[1] && drawn[1] != drawn[2], "purposes share the draw of the kind");
+}
+
+/// A blow acts at a point that is uniform along the panels. Its two forces sum to the blow on a single panel, and the label of the
+/// position is the point. A sample depends on its number alone, also in a mixture.
+#[test]
+fn blows_anywhere_are_divided_between_neighbours() {
+    let edge = [30, 31, 32, 33, 34];
+    let of = |units: &[usize], stimuli: Value| {
+        let (panels, units) = (("point.panels", json!(units.len())), ("panel_units", json!(units)));
+        problem(&trial(&[panels, units, ("stimuli", stimuli)])).unwrap()
+    };
+    for kind in ["bell", "gauss", "irregular"] {
+        let [one, all] = [(&edge[..1], false), (&edge[..], true)]
+            .map(|(units, anywhere)| of(units, json!({ "kind": kind, "anywhere": anywhere })));
+        let labeller = all.labeller();
+        let [first, last] = [0, 4].map(|k| labeller.points[k]);
+        let mut positions = Vec::new();
+        for purpose in [Purpose::Stimulus, Purpose::Holdout, Purpose::Fresh] {
+            let [blows, forces] = [&one, &all].map(|problem| problem.forces(purpose, 0, 300));
+            assert_eq!(all.forces(purpose, 7, 3).sample(1), forces.sample(8));
+            for (i, targets) in all.targets(&forces).chunks_exact(all.scene.instants * edge.len()).enumerate()
+            {
+                let len = forces.instants + 1;
+                let sample = forces.sample(i);
+                let sum = |n: usize| (0..edge.len()).map(|k| sample[k * len + n]).sum::<f64>();
+                assert!((0..len).all(|n| (sum(n) - blows.sample(i)[n]).abs() < 1e-12), "{kind}, {i}");
+                let struck = |k: &usize| sample[k * len..][..len].iter().any(|f| *f != 0.0);
+                let struck: Vec<usize> = (0..edge.len()).filter(struck).collect();
+                assert!(struck.len() == 2 && struck[1] == struck[0] + 1, "{kind}, {i}: {struck:?}");
+                let at = point(purpose, 1, i as u64, edge.len());
+                let label = labeller.label(Task::Position, targets, 0);
+                let found = [0, 1].map(|d| first[d] + 0.25 * at * (last[d] - first[d]));
+                assert!((0..2).all(|d| (label[d] - found[d]).abs() < 1e-9), "{kind}: {label:?} {found:?}");
+                positions.push(0.25 * at);
+            }
+        }
+        assert_ne!(positions[..300], positions[300..600], "purposes share the draw of the point");
+        // Kolmogorov and Smirnov: 1.63/√n is exceeded with probability 1 %
+        positions.sort_by(f64::total_cmp);
+        let n = positions.len() as f64;
+        let gap = |(i, x): (usize, &f64)| (x - i as f64 / n).abs().max((x - (i as f64 + 1.0) / n).abs());
+        let distance = positions.iter().enumerate().map(gap).fold(0.0, f64::max);
+        assert!(distance < 1.63 / n.sqrt(), "{kind}: {distance}");
+    }
+
+    let mix = of(
+        &edge,
+        json!({ "kind": "mix", "mix": [
+        { "weight": 0.5, "kind": "gauss", "anywhere": true }, { "weight": 0.5, "kind": "irregular" },
+    ] }),
+    );
+    let alone = of(&edge, json!({ "kind": "gauss", "anywhere": true }));
+    let [mixed, alone] = [&mix, &alone].map(|problem| problem.forces(Purpose::Fresh, 0, 100));
+    let same = (0..100).filter(|&i| mixed.sample(i) == alone.sample(i)).count();
+    assert_eq!(same, mix.parts_of(Purpose::Fresh, 0, 100).iter().filter(|part| **part == 0).count());
+    assert!((30..=70).contains(&same), "{same}");
+}
+
+/// Panels on which no force acts are refused.
+#[test]
+fn blows_anywhere_need_forces() {
+    let shaken = json!([{ "unit": 31 }, { "base": 1e-4 }]);
+    let invalid = problem(&trial(&[
+        ("body.panels", shaken),
+        ("panel_units", json!([31, 0])),
+        ("stimuli.anywhere", json!(true)),
+    ]))
+    .unwrap_err();
+    assert!(invalid.key == "stimuli.anywhere" && invalid.remedy.contains("base"), "{invalid:?}");
 }

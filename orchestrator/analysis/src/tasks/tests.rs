@@ -4,10 +4,11 @@ use super::*;
 fn gains_are_paired_by_trial() {
     let read = |seed: u64, training: &str, task: (&'static str, &'static str), errors: [f64; 2]| TaskResult {
         setting: "K = 2".into(),
+        sensors: 1,
         cluster: Cluster { placement: 0, seed },
         trained_for: training.into(),
-        task,
-        readout: "direct",
+        task: (task.0.into(), task.1.into()),
+        readout: "direct".into(),
         errors,
         trivial: 50.0,
         error_min: if task.1 == "%" { 0.5 } else { 0.0 },

@@ -3,6 +3,8 @@
 //! The C is in files beside this one: `layers.c`; `linear.c`, `network.c` or both; `floats.c` or `integers.c`; `readings.c`;
 //! `test.c`.
 
+pub mod readout;
+
 use std::fmt::{Display, Write};
 
 use clap::ValueEnum;

@@ -1,4 +1,4 @@
-//! Algorithms of the questions: small motions, information of the sensors, replays and tasks, checks of records.
+//! Algorithms of the questions: small motions, information of the sensors, replays, checks of records.
 
 mod bound;
 mod chain;
@@ -6,7 +6,6 @@ pub mod check;
 pub mod modes;
 mod operator;
 mod replay;
-pub mod tasks;
 
 pub use bound::{Bound, bound};
 pub use operator::{OperatorFigures, compute_figures};

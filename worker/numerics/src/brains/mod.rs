@@ -31,8 +31,8 @@ pub use records::{HeldOutEstimates, Records};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
-pub(crate) use tasks::task_errors;
-pub use tasks::{Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
+pub use tasks::{Labeller, Labels, RECORDS_MIN, Readout, ReadoutWeights, Task, TaskEstimate, TaskReadouts};
+pub(crate) use tasks::{task_errors, task_estimates, task_readouts};
 
 use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};

@@ -97,6 +97,13 @@ impl Basis {
         DMatrix::from_columns(&columns)
     }
 
+    /// Weights (p) and constant of an output: ŷ = constant + Σ weight · signal.
+    pub(super) fn weights(&self, output: &Output) -> (Vec<f64>, f64) {
+        let weights = self.x.tr_mul(&output.weights);
+        let constant = output.mean - self.mean.transpose().dot(&weights);
+        (weights.as_slice().to_vec(), constant)
+    }
+
     /// Cotangent of Σ factor Σ e² on the signals (N, p). λ moves with the mean eigenvalue.
     ///
     /// With A = (K + λ)⁻¹, d = λ diag A − 1/N and v = 2λe/d: dΣe² = ⟨v (y − mean y)ᵀ − diag(v e), dA⟩ at fixed λ, dA = −A dK A.

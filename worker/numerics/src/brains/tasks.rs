@@ -4,8 +4,17 @@
 //! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean. Samples without
 //! force and failed samples are not used.
 
+mod estimates;
+mod weights;
+
+pub use estimates::TaskEstimate;
+pub(crate) use estimates::task_estimates;
+pub(crate) use weights::task_readouts;
+pub use weights::{ReadoutWeights, TaskReadouts};
+
 use super::readout::{Basis, Output};
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
+use crate::random::Purpose;
 use crate::trial::{Counters, FAILED, Problem, Samples, Trial, Trouble, pick};
 
 /// Share of a sample's greatest force above which a panel counts as struck, and a force as started.
@@ -28,12 +37,14 @@ pub enum Task {
     Impulse,
     /// Time at which a force first exceeds a tenth of the sample's greatest (ms).
     Onset,
+    /// The part of the mixture, from 0.
+    Kind,
 }
 
 impl Task {
     /// All tasks.
-    pub const ALL: [Self; 6] =
-        [Self::Panel, Self::Count, Self::Position, Self::Peak, Self::Impulse, Self::Onset];
+    pub const ALL: [Self; 7] =
+        [Self::Panel, Self::Count, Self::Position, Self::Peak, Self::Impulse, Self::Onset, Self::Kind];
 
     /// Name, and unit of the error: % of samples with a wrong class, or that of a mean absolute error.
     pub fn name(self) -> (&'static str, &'static str) {
@@ -44,12 +55,13 @@ impl Task {
             Self::Peak => ("peak", "N"),
             Self::Impulse => ("impulse", "mN s"),
             Self::Onset => ("onset", "ms"),
+            Self::Kind => ("kind", "%"),
         }
     }
 
     /// Whether its labels are classes.
     pub fn is_class(self) -> bool {
-        matches!(self, Self::Panel | Self::Count)
+        matches!(self, Self::Panel | Self::Count | Self::Kind)
     }
 }
 
@@ -57,14 +69,14 @@ impl Task {
 pub type Labels = Vec<Vec<f64>>;
 
 /// The classes among labels, ascending.
-pub fn classes(labels: &Labels) -> Vec<f64> {
+fn classes(labels: &Labels) -> Vec<f64> {
     let mut classes: Vec<f64> = labels.iter().map(|label| label[0]).collect();
     classes.sort_by(f64::total_cmp);
     classes.dedup();
     classes
 }
 
-/// Computes labels from forces.
+/// Computes labels from forces and parts of a mixture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Labeller {
     /// Time between instants (s).
@@ -74,8 +86,8 @@ pub struct Labeller {
 }
 
 impl Labeller {
-    /// Label of forces (T, K) (N).
-    pub fn label(&self, task: Task, forces: &[f64]) -> Vec<f64> {
+    /// Label of forces (T, K) (N) of this part of a mixture.
+    pub fn label(&self, task: Task, forces: &[f64], part: usize) -> Vec<f64> {
         let (panels, interval) = (self.points.len(), self.interval);
         let of = |k: usize| forces.iter().skip(k).step_by(panels).map(|f| f.abs());
         let impulse = |k: usize| 1e3 * interval * of(k).sum::<f64>();
@@ -96,15 +108,17 @@ impl Labeller {
                 let at = forces.iter().position(begun).map_or(0, |at| at / panels);
                 vec![1e3 * interval * (at + 1) as f64]
             }
+            Task::Kind => vec![part as f64],
         }
     }
 
-    /// The tasks whose labels differ among samples with these forces (N, T, K) (N). Samples without force do not count.
-    pub fn varied(&self, forces: &[f64], instants: usize) -> Vec<Task> {
-        let samples = || forces.chunks_exact(instants * self.points.len());
+    /// The tasks whose labels differ among samples with these forces (N, T, K) (N) and parts (N). Samples without force do not
+    /// count.
+    pub fn varied(&self, forces: &[f64], parts: &[usize], instants: usize) -> Vec<Task> {
+        let samples = || forces.chunks_exact(instants * self.points.len()).zip(parts);
         let varies = |task: &Task| {
-            let mut labels =
-                samples().filter(|own| own.iter().any(|f| *f != 0.0)).map(|own| self.label(*task, own));
+            let has_force = |(own, _): &(&[f64], &usize)| own.iter().any(|f| *f != 0.0);
+            let mut labels = samples().filter(has_force).map(|(own, part)| self.label(*task, own, *part));
             let first = labels.next();
             labels.any(|label| first.as_ref() != Some(&label))
         };
@@ -240,15 +254,16 @@ struct Labelled {
 }
 
 impl Labelled {
-    fn of(trial: &Trial, samples: &Samples) -> Self {
+    /// Of these samples, which have these parts of the mixture.
+    fn of(trial: &Trial, samples: &Samples, parts: &[usize]) -> Self {
         let len = samples.sizes.instants * samples.sizes.outputs;
         let forces = |i: usize| &samples.targets[i * len..][..len];
         let is_used = |i: &usize| !samples.failed[*i] && forces(*i).iter().any(|f| *f != 0.0);
         let used: Vec<usize> = (0..samples.count()).filter(is_used).collect();
         let signals = trial.scales.inputs(&pick(&samples.signals, samples.count(), &used));
         let labeller = trial.problem.labeller();
-        let labels =
-            |task: &Task| (*task, used.iter().map(|&i| labeller.label(*task, forces(i))).collect::<Labels>());
+        let label = |task: Task, i: usize| labeller.label(task, forces(i), parts[i]);
+        let labels = |task: &Task| (*task, used.iter().map(|&i| label(*task, i)).collect::<Labels>());
         let tasks = trial.problem.tasks.iter().map(labels).collect();
         Self { used, signals, tasks }
     }
@@ -281,7 +296,8 @@ impl Labelled {
 /// # Errors
 /// If the training samples are too few or too similar.
 pub(crate) fn task_errors(trial: &Trial, sets: &[Samples; 3]) -> Result<[Vec<Option<f64>>; 3], Trouble> {
-    let labelled = sets.each_ref().map(|set| Labelled::of(trial, set));
+    let parts = trial.problem.parts();
+    let labelled = [0, 1, 2].map(|set| Labelled::of(trial, &sets[set], &parts[set]));
     let readout = labelled[0].fit()?;
     Ok([0, 1, 2].map(|set| labelled[set].errors(&readout, &sets[set])))
 }
@@ -315,15 +331,24 @@ impl Learner for TaskLearner<'_> {
     fn fit(
         &mut self,
         on: FitOn,
-        _: u32,
+        step: u32,
         _: &mut DecoderState,
         _: &mut Counters,
     ) -> Result<FitResult, Trouble> {
-        let samples = match on {
-            FitOn::Recent(bodies) => bodies.last().expect("the newest"),
-            FitOn::Optimum(samples) | FitOn::Alike(samples) | FitOn::Cast(samples) => samples,
+        let problem = &self.trial.problem;
+        let (samples, parts) = match on {
+            FitOn::Recent(bodies) => {
+                let newest = *bodies.last().expect("the newest");
+                let (first, count) = (u64::from(step) * newest.count() as u64, newest.count());
+                (newest, problem.parts_of(Purpose::Fresh, first, count))
+            }
+            FitOn::Optimum(train) | FitOn::Alike(train) => {
+                let [parts, ..] = problem.parts();
+                (train, parts)
+            }
+            FitOn::Cast(_) => unreachable!("the spec is refused: bodies are trained for tasks as designed"),
         };
-        let labelled = Labelled::of(self.trial, samples);
+        let labelled = Labelled::of(self.trial, samples, &parts);
         let readout = labelled.fit()?;
         let loss = readout.loss();
         self.fitted = Some((labelled, readout));
@@ -346,9 +371,10 @@ impl Learner for TaskLearner<'_> {
         unreachable!("the spec is refused: the loss contains the fit")
     }
 
-    /// The leave-one-out error on these samples (%): a readout of a step's few samples would rank bodies by these.
-    fn error(&mut self, samples: &Samples) -> Option<f64> {
-        Labelled::of(self.trial, samples).fit().ok().map(|readout| 100.0 * readout.loss())
+    /// The leave-one-out error on the test samples (%): a readout of a step's few samples would rank bodies by these.
+    fn error(&mut self, test: &Samples) -> Option<f64> {
+        let [_, parts, _] = self.trial.problem.parts();
+        Labelled::of(self.trial, test, &parts).fit().ok().map(|readout| 100.0 * readout.loss())
     }
 }
 

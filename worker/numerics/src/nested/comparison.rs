@@ -56,9 +56,10 @@ pub(super) fn compare(trial: &Trial, mut state: State, observer: &mut dyn Observ
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
     let solver = format!("{}{BEST}{}", trial.reason, tuned.reason);
-    let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
+    let Comparison { bodies: compared, mut casts, mut bands, mut tasks, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);
+    tasks.resize_with(compared.len(), Vec::new);
     let (casts, bands) = (initial_and_best(problem, casts), initial_and_best(problem, bands));
     let [mut initial, optimised] = initial_and_best(problem, compared);
     initial.design.clone_from(&problem.initial);
@@ -71,6 +72,7 @@ pub(super) fn compare(trial: &Trial, mut state: State, observer: &mut dyn Observ
         bands,
         nonlinear,
         under,
+        tasks: initial_and_best(problem, tasks),
         solver,
         signal_errors,
         counters,

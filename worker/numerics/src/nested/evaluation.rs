@@ -2,7 +2,7 @@
 
 use super::report::Seconds;
 use super::{Nonlinear, UnderReading};
-use crate::brains::{Band, NetworkTraining, Reading};
+use crate::brains::{Band, NetworkTraining, Reading, TaskEstimate};
 use crate::trial::{Counters, FAILED, Problem, Spread, Trouble, mean_error};
 
 /// A fresh decoder on a body.
@@ -180,6 +180,8 @@ pub struct Comparison {
     pub casts: Vec<Vec<CastEvaluation>>,
     /// Prediction bands per body, including those on its casts.
     pub bands: Vec<Vec<BandCoverage>>,
+    /// Estimates of all tasks per body, if requested. Not in checkpoints: a resumed trial computes them again.
+    pub tasks: Vec<Vec<TaskEstimate>>,
     /// The network in training.
     pub training: Option<NetworkTraining>,
     /// Counts of work.
@@ -225,6 +227,8 @@ pub struct Optimised {
     pub nonlinear: [Option<Nonlinear>; 2],
     /// Evaluations of both bodies under further kinds of forces.
     pub under: [Vec<UnderReading>; 2],
+    /// Estimates of all tasks on both bodies, if requested; empty for a body that gives too few samples.
+    pub tasks: [Vec<TaskEstimate>; 2],
     /// The chosen integrators, with reasons.
     pub solver: String,
     /// Relative signal error that the pilots of the initial and best body measured.

@@ -5,7 +5,10 @@ use super::inversion::evaluate_inverse;
 use super::observe::{Control, Log};
 use super::report::Report;
 use super::state::State;
-use crate::brains::{Band, FittedDecoder, new_decoder, own_reading, readings, task_errors};
+use crate::brains::{
+    Band, FittedDecoder, TaskEstimate, TaskReadouts, new_decoder, own_reading, readings, task_errors,
+    task_estimates, task_readouts,
+};
 use crate::random::Purpose;
 use crate::trial::{
     BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Spread, Trial, Trouble, as_ref_result,
@@ -40,7 +43,9 @@ pub(super) fn evaluate(
     let &DesignWithSolver { trial, design, .. } = mould;
     let problem = &trial.problem;
     let begun = state.comparison.bodies.get(turn);
-    if begun.is_some_and(|body| body.next_missing_decoder(problem).is_none()) {
+    let is_complete = begun.is_some_and(|body| body.next_missing_decoder(problem).is_none());
+    let estimates_tasks = problem.evaluation.tasks && state.comparison.tasks.len() <= turn;
+    if is_complete && !estimates_tasks {
         return Some(());
     }
     let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
@@ -71,6 +76,14 @@ pub(super) fn evaluate(
             );
         }
         state.comparison.bodies.push(body);
+    }
+    if estimates_tasks {
+        let of = |_: &mut Report| as_ref_result(&sets).and_then(|sets| task_estimates(trial, sets));
+        let found = log.timed(|s| &mut s.train, of);
+        state.comparison.tasks.push(found.unwrap_or_default());
+    }
+    if is_complete {
+        return Some(());
     }
     if inverts {
         return evaluate_inverse(mould, &sets, state, log);
@@ -112,6 +125,28 @@ pub(super) fn evaluate(
         log.report_progress(problem, state)?;
     }
     Some(())
+}
+
+/// Estimates of all tasks on a design, as in the trial's comparison.
+///
+/// # Errors
+/// If the design cannot be simulated, or gives too few samples with force.
+pub fn estimate_tasks(trial: &Trial, design: &[f64]) -> Result<Vec<TaskEstimate>, Trouble> {
+    task_estimates(trial, &sets_of(trial, design)?)
+}
+
+/// Readouts of the trial's tasks on a design, as in the trial's comparison.
+///
+/// # Errors
+/// As [`estimate_tasks`].
+pub fn fit_readouts(trial: &Trial, design: &[f64]) -> Result<TaskReadouts, Trouble> {
+    task_readouts(trial, &sets_of(trial, design)?)
+}
+
+/// Training, test and held-out samples of a design.
+fn sets_of(trial: &Trial, design: &[f64]) -> Result<[Samples; 3], Trouble> {
+    let solver = &trial.tuned(design).solver;
+    sets(&DesignWithSolver { trial, design, solver }, &mut Counters::default())
 }
 
 /// Training, test and held-out samples of a body.

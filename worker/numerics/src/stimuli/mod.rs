@@ -80,6 +80,8 @@ pub enum Source {
     Struck(StrikeScatter, Box<Source>),
     /// Another source, with each panel silent with this probability.
     Silent(f64, Box<Source>),
+    /// The first panel's history of another source, at a random point of the line through the panels: see [`point`].
+    Anywhere(Box<Source>),
 }
 
 impl Source {
@@ -87,7 +89,7 @@ impl Source {
     pub fn parts(&self) -> Vec<&Self> {
         match self {
             Self::Mix(parts) => parts.iter().flat_map(|(_, part)| part.parts()).collect(),
-            Self::Struck(_, source) | Self::Silent(_, source) => source.parts(),
+            Self::Struck(_, source) | Self::Silent(_, source) | Self::Anywhere(source) => source.parts(),
             one => vec![one],
         }
     }
@@ -133,6 +135,29 @@ pub fn silenced(silent: f64, purpose: Purpose, seed: u64, sample: u64, panels: u
             return mask;
         }
     }
+}
+
+/// Point of a blow between neighbouring panels, in numbers of panels: uniform from 0, the first panel, to `panels` − 1, the last.
+/// Depends on (purpose, seed, sample) only.
+pub fn point(purpose: Purpose, seed: u64, sample: u64, panels: usize) -> f64 {
+    // A counter that no kind of forces uses.
+    (panels - 1) as f64 * Stream::new(purpose, seed, [sample, u64::MAX - 3]).uniform()
+}
+
+/// Divides the force of each sample, numbered from `first`, between the two of `panels` panels beside its [`point`], in inverse
+/// proportion to the distances.
+pub fn spread(blows: &Forces, purpose: Purpose, seed: u64, first: u64, panels: usize) -> Forces {
+    let len = blows.instants + 1;
+    let mut values = vec![0.0; blows.samples * panels * len];
+    for (i, histories) in values.chunks_exact_mut(panels * len).enumerate() {
+        let at = point(purpose, seed, first + i as u64, panels);
+        let left = (at as usize).min(panels - 2);
+        for (panel, share) in [(left, left as f64 + 1.0 - at), (left + 1, at - left as f64)] {
+            let history = &mut histories[panel * len..][..len];
+            history.iter_mut().zip(blows.sample(i)).for_each(|(f, blow)| *f = share * blow);
+        }
+    }
+    Forces { panels, values, strikes: Vec::new(), ..*blows }
 }
 
 /// Part of a mixture, from 0, of each of the samples numbered `samples`; depends on (purpose, seed, sample) only.

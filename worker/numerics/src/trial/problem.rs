@@ -5,7 +5,7 @@ use super::body::Body;
 use super::chip::{Chip, Disturbance, Size};
 use super::filter::Filter;
 use super::outcome::Failure;
-use super::samples::Samples;
+use super::samples::{Samples, pick};
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
 use crate::brain::Shape;
 use crate::brain::linear::Sizes;
@@ -13,7 +13,9 @@ use crate::brains::Task;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
-use crate::stimuli::{RecordSplit, Source, bells, draw_parts, gauss, irregular, silenced, split, targets};
+use crate::stimuli::{
+    RecordSplit, Source, bells, draw_parts, gauss, irregular, silenced, split, spread, targets,
+};
 use crate::variation::Variation;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -237,33 +239,46 @@ impl Problem {
     /// `count` force histories (N, K, R + 1) on the clock of the stimuli, from number `first`. `purpose`: `Stimulus` (see
     /// [`Problem::training_and_test`]), `Holdout` or `Fresh`.
     pub fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
-        self.forces_of(&self.stimuli.source, purpose, first, count)
+        self.forces_of(&self.stimuli.source, self.scene.panels.len(), purpose, first, count)
     }
 
     /// As [`Problem::forces`], for one part of a mixture; equals the part's own samples of the same numbers.
     pub(crate) fn part(&self, part: usize, purpose: Purpose, first: u64, count: usize) -> Forces {
+        let source = match &self.stimuli.source {
+            Source::Mix(parts) => &parts[part].1,
+            whole => whole,
+        };
+        self.forces_of(source, self.scene.panels.len(), purpose, first, count)
+    }
+
+    /// Part of the mixture, from 0, of each sample of [`Problem::forces`].
+    pub fn parts_of(&self, purpose: Purpose, first: u64, count: usize) -> Vec<usize> {
         match &self.stimuli.source {
-            Source::Mix(parts) => self.forces_of(&parts[part].1, purpose, first, count),
-            whole => self.forces_of(whole, purpose, first, count),
+            Source::Mix(parts) => {
+                let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
+                draw_parts(&weights, purpose, self.seed, first..first + count as u64)
+            }
+            _ => vec![0; count],
         }
     }
 
-    /// For each sample of the training and of the test set, its part of the mixture.
-    pub(crate) fn parts(&self) -> [Vec<usize>; 2] {
-        let Stimuli { samples, ref source, .. } = self.stimuli;
-        let of = match source {
-            Source::Mix(parts) => {
-                let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
-                draw_parts(&weights, Purpose::Stimulus, self.seed, 0..samples as u64)
-            }
-            _ => vec![0; samples],
-        };
+    /// Part of the mixture of each training, test and held-out sample.
+    pub fn parts(&self) -> [Vec<usize>; 3] {
+        let of = self.parts_of(Purpose::Stimulus, 0, self.stimuli.samples);
         let (train, test) = self.stimuli.split(self.seed);
-        [train, test].map(|set| set.into_iter().map(|sample| of[sample]).collect())
+        let [train, test] = [train, test].map(|set| pick(&of, of.len(), &set));
+        [train, test, self.parts_of(Purpose::Holdout, 0, self.stimuli.holdout)]
     }
 
-    fn forces_of(&self, source: &Source, purpose: Purpose, first: u64, count: usize) -> Forces {
-        let (panels, scene) = (self.scene.panels.len(), &self.scene);
+    fn forces_of(
+        &self,
+        source: &Source,
+        panels: usize,
+        purpose: Purpose,
+        first: u64,
+        count: usize,
+    ) -> Forces {
+        let scene = &self.scene;
         let (duration, instants) = (scene.duration, self.stimuli.instants);
         let samples = first..first + count as u64;
         match source {
@@ -279,8 +294,8 @@ impl Problem {
             }
             Source::Mix(parts) => {
                 let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
-                let of: Vec<Forces> =
-                    parts.iter().map(|(_, part)| self.forces_of(part, purpose, first, count)).collect();
+                let of_part = |(_, part): &(f64, Source)| self.forces_of(part, panels, purpose, first, count);
+                let of: Vec<Forces> = parts.iter().map(of_part).collect();
                 let drawn = draw_parts(&weights, purpose, self.seed, samples);
                 let values = drawn.iter().enumerate().flat_map(|(i, &part)| of[part].sample(i)).copied();
                 let central = of.iter().all(|forces| forces.strikes.is_empty());
@@ -290,15 +305,19 @@ impl Problem {
                 Forces { samples: count, panels, instants, values: values.collect(), strikes }
             }
             Source::Silent(silent, source) => {
-                let mut forces = self.forces_of(source, purpose, first, count);
+                let mut forces = self.forces_of(source, panels, purpose, first, count);
                 let mask = samples.flat_map(|i| silenced(*silent, purpose, self.seed, i, panels));
                 let histories = forces.values.chunks_exact_mut(instants + 1);
                 histories.zip(mask).filter(|(_, silent)| *silent).for_each(|(own, _)| own.fill(0.0));
                 forces
             }
+            Source::Anywhere(source) => {
+                let blows = self.forces_of(source, 1, purpose, first, count);
+                spread(&blows, purpose, self.seed, first, panels)
+            }
             Source::Struck(hand, source) => {
                 let strikes = hand.strikes(&scene.panels, purpose, self.seed, samples);
-                Forces { strikes, ..self.forces_of(source, purpose, first, count) }
+                Forces { strikes, ..self.forces_of(source, panels, purpose, first, count) }
             }
         }
     }

@@ -205,6 +205,8 @@ pub struct Evaluation {
     pub records: bool,
     /// Whether the initial body is compared.
     pub initial: bool,
+    /// Whether readouts of all tasks are fitted to each body.
+    pub tasks: bool,
 }
 
 /// Schedule of Adam's learning rate.

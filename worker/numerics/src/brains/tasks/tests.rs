@@ -23,7 +23,7 @@ fn forces(pulses: &[(usize, usize, f64)]) -> Vec<f64> {
 #[test]
 fn labels_are_what_the_forces_say() {
     let two = forces(&[(2, 4, 0.5), (0, 9, -2.0)]);
-    let label = |task: Task| labeller().label(task, &two);
+    let label = |task: Task| labeller().label(task, &two, 1);
     assert_eq!(label(Task::Panel), [0.0]);
     assert_eq!(label(Task::Count), [2.0]);
     assert_eq!(label(Task::Peak), [2.0, 0.0, 0.5]);
@@ -32,13 +32,20 @@ fn labels_are_what_the_forces_say() {
     // a fifth of the impulse acts 30 mm from the rest
     let position = label(Task::Position);
     assert!((position[0] - 6.0).abs() < 1e-9 && (position[1] - 5.0).abs() < 1e-9, "{position:?}");
+    assert_eq!(label(Task::Kind), [1.0]);
     // Instants are numbered from 1.
     assert!((label(Task::Onset)[0] - 50.0).abs() < 1e-9);
 
     let all = [two, forces(&[]), forces(&[(2, 4, 0.5), (0, 11, -2.0)])].concat();
-    assert_eq!(labeller().varied(&all, INSTANTS), Vec::new(), "the first blow has the same instant");
+    let varied = |forces: &[f64], parts: &[usize]| labeller().varied(forces, parts, INSTANTS);
+    assert_eq!(
+        varied(&all, &[0, 1, 0]),
+        [],
+        "the first blow has the same instant, and the second sample no force"
+    );
     let all = [all, forces(&[(1, 4, 1.0), (2, 6, 0.5)])].concat();
-    assert_eq!(labeller().varied(&all, INSTANTS), [Task::Panel, Task::Position, Task::Peak, Task::Impulse]);
+    assert_eq!(varied(&all, &[0; 4]), [Task::Panel, Task::Position, Task::Peak, Task::Impulse]);
+    assert_eq!(varied(&all, &[0, 0, 0, 1]).last(), Some(&Task::Kind));
 }
 
 /// Signals (14, 9) and labels of two tasks that depend on them and on noise.

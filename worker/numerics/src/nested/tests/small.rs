@@ -94,6 +94,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             casts: 0,
             records: true,
             initial: true,
+            tasks: false,
         },
         seed: 3,
     }

@@ -78,3 +78,68 @@ fn too_few_samples_for_a_readout_are_named() {
         optimise(&trained_for(&[Task::Peak], 5), None, &pool(1), &mut Keeper::default()).unwrap_err();
     assert_eq!(failure, Failure::Initial(Trouble::FewForces));
 }
+
+/// Estimates of tasks change neither results nor counts of work; they are those of `estimate_tasks`, also in a trial that resumes
+/// within its comparison.
+#[test]
+fn estimates_of_tasks_stand_beside_the_comparison() {
+    let problem = trained_for(&[], 64);
+    let mut network = small(Protocol::Joint(GOING));
+    network.stimuli = problem.stimuli.clone();
+    network.brain.iterations = 6;
+    for mut problem in [problem, network] {
+        quicken(&mut problem);
+        (problem.optimise.iterations, problem.optimise.rate) = (8, 0.2);
+        let plain = carried_out(&problem, 1);
+        problem.evaluation.tasks = true;
+        let mut keeper = Keeper::default();
+        let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+        let timeless = |found: &Optimised| Optimised {
+            seconds: Seconds::default(),
+            tasks: [vec![], vec![]],
+            ..found.clone()
+        };
+        assert_eq!(format!("{:?}", timeless(&plain)), format!("{:?}", timeless(&found)));
+        assert!(plain.tasks.iter().all(Vec::is_empty));
+
+        let pool = pool(1);
+        let trial = Trial::new(&problem, &pool).unwrap();
+        for (body, tasks) in [&found.initial, &found.optimised].into_iter().zip(&found.tasks) {
+            assert_eq!(tasks, &estimate_tasks(&trial, &body.design).unwrap());
+            let of = |name: &str| tasks.iter().filter(|estimate| estimate.task.0 == name).count();
+            assert_eq!(["forces", "panel", "peak", "count"].map(of), [1, 2, 2, 0], "{tasks:?}");
+        }
+        assert_ne!(found.tasks[0], found.tasks[1]);
+
+        assert!(!keeper.saved.is_empty());
+        let within = keeper.saved.into_iter().filter(|state| state.comparison.bodies.len() == 2);
+        for state in within {
+            let comparison = Comparison { tasks: Vec::new(), ..state.comparison }; // as in a checkpoint
+            let resumed =
+                optimise(&problem, Some(State { comparison, ..state }), &pool, &mut Keeper::default());
+            let resumed = resumed.unwrap().unwrap();
+            assert_eq!((resumed.tasks, resumed.counters), (found.tasks.clone(), found.counters));
+        }
+    }
+}
+
+/// Labels of the part of a mixture belong to the samples, in steps and in all sets: otherwise pulls would not differ from pushes.
+#[test]
+fn the_kind_of_a_sample_is_that_of_its_forces() {
+    let mut problem = trained_for(&[Task::Kind], 48);
+    let Source::Bell(push) = problem.stimuli.source else { panic!("pulses") };
+    let pull = Bell { amplitude: push.amplitude.map(|f| -f), ..push };
+    problem.stimuli.source = Source::Mix(vec![(0.4, Source::Bell(push)), (0.6, Source::Bell(pull))]);
+    for protocol in [Protocol::Joint(StepTraining { batch: 48, ..GOING }), Protocol::Random(GOING)] {
+        problem.optimise.protocol = protocol;
+        let mut keeper = Keeper::default();
+        let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+        let steps =
+            keeper.reports.iter().flat_map(|step| [step.loss_train, step.error_test.map(|e| 0.01 * e)]);
+        let steps: Vec<f64> = steps.flatten().collect();
+        assert!(steps.len() >= 4 && steps.iter().all(|loss| *loss < 0.4), "{protocol:?}: {steps:?}");
+        let own = &found.initial.networks[0];
+        let errors = [own.error_train, own.error_test, own.error_holdout].map(|error| error.unwrap());
+        assert!(errors.iter().all(|error| *error < 40.0), "{protocol:?}: {errors:?}");
+    }
+}

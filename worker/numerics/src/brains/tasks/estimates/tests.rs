@@ -1,7 +1,7 @@
 //! Estimates on synthetic bodies.
 
 use super::*;
-use metasense_numerics::random::{Purpose, Stream};
+use crate::random::{Purpose, Stream};
 
 const PANELS: usize = 3;
 const INSTANTS: usize = 20;
@@ -43,27 +43,32 @@ fn made_up(noise: f64) -> (Vec<f64>, Vec<f64>) {
     (signals, all)
 }
 
-fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> (Vec<TaskEstimate>, Vec<Task>) {
-    let (signals, forces) = made_up(noise);
-    let (train, judge): (Vec<usize>, Vec<usize>) = ((0..50).collect(), (50..80).collect());
-    let decoded = decoded(&forces);
+/// 50 training and 30 test samples.
+fn read_from(signals: &[f64], forces: &[f64], decoded: impl Fn(&[f64]) -> Vec<f64>) -> Vec<TaskEstimate> {
+    let [signals, forces] = [signals, forces].map(|values| values.split_at(values.len() / 80 * 50).into());
+    let [_, judge] = forces;
     tasks(&Observations {
-        signals: &signals,
-        forces: &forces,
-        decoded: &decoded,
-        train: &train,
-        judge: &judge,
+        signals,
+        forces,
+        parts: [&[0; 50], &[0; 30]],
+        decoded: &decoded(judge),
         instants: INSTANTS,
         labeller: &labeller(),
     })
 }
 
+fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> Vec<TaskEstimate> {
+    let (signals, forces) = made_up(noise);
+    read_from(&signals, &forces, decoded)
+}
+
 /// Labels linear in the forces are estimated well from clean signals, less well from noisy ones; known forces give exact labels.
 #[test]
 fn tasks_are_read_as_well_as_signals_allow() {
-    let (clean, constant) = read(1e-6, <[f64]>::to_vec);
-    assert_eq!(constant, [Task::Count], "every sample has one pulse");
-    let (noisy, _) = read(30.0, |forces| forces.iter().map(|f| 0.5 * f).collect());
+    let clean = read(1e-6, <[f64]>::to_vec);
+    let constant = [Task::Count, Task::Kind].map(Task::name);
+    assert!(clean.iter().all(|r| !constant.contains(&r.task)), "every sample has one pulse of one kind");
+    let noisy = read(30.0, |forces| forces.iter().map(|f| 0.5 * f).collect());
     let error = |of: &[TaskEstimate], task: Task, readout: &str| {
         let found = of.iter().find(|r| r.task == task.name() && r.readout == readout).unwrap();
         assert!(found.interval[0] <= found.error && found.error <= found.interval[1], "{found:?}");
@@ -92,17 +97,30 @@ fn noise_is_not_read() {
     let (_, forces) = made_up(1.0);
     let mut stream = Stream::new(Purpose::Holdout, 6, [0, 0]);
     let signals: Vec<f64> = (0..80 * 400).map(|_| stream.normal()).collect();
-    let (train, judge): (Vec<usize>, Vec<usize>) = ((0..50).collect(), (50..80).collect());
-    let (found, _) = tasks(&Observations {
-        signals: &signals,
-        forces: &forces,
-        decoded: &forces,
-        train: &train,
-        judge: &judge,
-        instants: INSTANTS,
-        labeller: &labeller(),
-    });
+    let found = read_from(&signals, &forces, <[f64]>::to_vec);
     for reading in found.iter().filter(|r| r.readout == "direct" && r.task.1 != "%") {
         assert!(reading.error < 1.25 * reading.trivial, "{reading:?}");
     }
+}
+
+/// The detail of a class counts all samples, the wrong ones off the diagonal; that of a position averages to the error.
+#[test]
+fn details_sum_to_the_errors() {
+    let found = read(30.0, <[f64]>::to_vec);
+    for estimate in &found {
+        let weighted =
+            |of: fn(&[f64; 3]) -> f64| estimate.detail.iter().map(|row| row[2] * of(row)).sum::<f64>();
+        let samples = estimate.samples as f64;
+        let error = match estimate.task.0 {
+            "panel" => 100.0 * weighted(|row| f64::from(u8::from(row[0] != row[1]))) / samples,
+            "position" => weighted(|row| row[1]) / samples,
+            _ => {
+                assert!(estimate.detail.is_empty());
+                continue;
+            }
+        };
+        assert_eq!(weighted(|_| 1.0), samples);
+        assert!((error - estimate.error).abs() < 1e-9, "{estimate:?}");
+    }
+    assert_eq!(found.iter().filter(|estimate| !estimate.detail.is_empty()).count(), 4);
 }

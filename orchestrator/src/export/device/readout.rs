@@ -1,0 +1,145 @@
+//! Readouts of sensing tasks as one C file: the readings of a sample in, one after the other, its labels out. The C is in `readout.c`.
+
+use std::fmt::Write;
+
+use metasense_lab::tasks::{Readout, TaskReadouts, readouts};
+
+use super::super::unreadable;
+use super::{Numbers, floats, whole};
+use crate::analysis::Body;
+use crate::reader::StoredTrial;
+use crate::store::StoreError;
+
+/// Number of held-out samples in the file's test.
+const TESTED: usize = 20;
+/// Allowed difference from the estimates, relative to the largest of their kind: rounding in 32-bit floats.
+const BOUND: f64 = 1e-3;
+
+/// A readout with weights as the device holds them.
+struct Rounded<'a> {
+    of: &'a Readout,
+    /// Weights per output, as multiples of `steps`.
+    weights: Vec<Vec<f64>>,
+    steps: Vec<f64>,
+}
+
+impl<'a> Rounded<'a> {
+    fn new(of: &'a Readout, numbers: Numbers) -> Self {
+        let step = |weights: &Vec<f64>| {
+            let most = weights.iter().fold(0.0_f64, |most, w| most.max(w.abs()));
+            numbers.most().filter(|_| most > 0.0).map_or(1.0, |levels| most / levels as f64)
+        };
+        let steps: Vec<f64> = of.outputs.iter().map(|(weights, _)| step(weights)).collect();
+        let round = |w: f64| if numbers == Numbers::F32 { f64::from(w as f32) } else { w.round() };
+        let weights = of.outputs.iter().zip(&steps);
+        let weights = weights.map(|((weights, _), step)| weights.iter().map(|w| round(w / step)).collect());
+        Self { of, weights: weights.collect(), steps }
+    }
+
+    /// Label of a sample with these signals (T · channels).
+    fn estimate(&self, signals: &[f64], scales: &[f64]) -> Vec<f64> {
+        let output = |((weights, step), (_, constant)): ((&Vec<f64>, &f64), &(Vec<f64>, f64))| {
+            let products = weights.iter().zip(signals).zip(scales.iter().cycle());
+            constant + step * products.map(|((w, x), scale)| w * x / scale).sum::<f64>()
+        };
+        let outputs: Vec<f64> =
+            self.weights.iter().zip(&self.steps).zip(&self.of.outputs).map(output).collect();
+        self.of.label(&outputs)
+    }
+}
+
+/// C99 source of the readouts of a trial's tasks, fitted to one of its bodies.
+///
+/// # Errors
+/// If the trial cannot be computed again.
+pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) -> Result<String, StoreError> {
+    let spec = &stored.specs[body];
+    let found = readouts(spec, &stored.designs[body], threads).map_err(unreadable(stored))?;
+    let TaskReadouts { readouts, scales, signals, labels } = &found;
+    let (channels, instants) = (scales.len(), spec.time.samples);
+    let samples = || signals.chunks_exact(instants * channels);
+    let rounded: Vec<Rounded> = readouts.iter().map(|of| Rounded::new(of, numbers)).collect();
+    let estimated: Vec<Vec<Vec<f64>>> =
+        rounded.iter().map(|of| samples().map(|own| of.estimate(own, scales)).collect()).collect();
+    let described = readouts.iter().zip(labels).zip(&estimated).map(|((of, truth), estimated)| {
+        let ((name, unit), count) = (of.task.name(), estimated.first().map_or(0, Vec::len));
+        let what = if of.classes.is_empty() { "values" } else { "class" };
+        format!("     {name}: {count} {what}; held-out error {:.4} {unit}\n", of.error(truth, estimated))
+    });
+    let described: String = described.collect();
+    let outputs: usize = rounded.iter().map(|of| of.weights.len()).sum();
+    let classes: Vec<f64> = readouts.iter().flat_map(|of| of.classes.iter().copied()).collect();
+    let bytes = numbers.bytes(false)[0] * outputs * instants * channels;
+    let tables = 4 * (2 * outputs + channels + classes.len() + 2 * readouts.len());
+    let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
+    let mut text = format!(
+        "/* Readouts of sensing tasks on the {name} body of trial {hash}, by metasense {version}: C99, no heap, no library.
+
+   Every {interval} s one reading: {units} of each sensor, one sensor after the other, in mm/s^2 and rad/s.
+   Output: the estimates after the {instants} readings of a sample, in this order (panels are numbered from 0):
+
+{described}
+     void brain_reset(void);                               before the first reading, if a sample was not completed
+     int brain_read(const float *reading, float *estimates);  1: that was the last reading of a sample; 0: not yet
+
+   On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds per reading.
+   To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
+
+#define BRAIN_INSTANTS {instants}
+#define BRAIN_CHANNELS {channels}
+#define BRAIN_ESTIMATES {estimates}
+#define TASKS {tasks}
+#define OUTPUTS {outputs}
+
+",
+        name = Body::ALL[body].word(),
+        hash = stored.hash,
+        version = env!("CARGO_PKG_VERSION"),
+        interval = spec.time.duration / spec.time.samples as f64,
+        constants = bytes.next_multiple_of(4) + tables,
+        memory = 4 * (outputs + 1),
+        operations = outputs * channels,
+        estimates = estimated.iter().filter_map(|of| of.first()).map(Vec::len).sum::<usize>(),
+        tasks = readouts.len(),
+    );
+    text.push_str(match numbers {
+        Numbers::F32 => "typedef float weight;\n",
+        Numbers::I16 => "#include <stdint.h>\n\ntypedef int16_t weight;\n",
+        Numbers::I8 => "#include <stdint.h>\n\ntypedef int8_t weight;\n",
+    });
+    let weights = || rounded.iter().flat_map(|of| &of.weights).flatten();
+    match numbers {
+        Numbers::F32 => floats(&mut text, "weight W", weights().map(|w| *w as f32)),
+        _ => whole(&mut text, "weight W", &weights().map(|w| *w as i64).collect::<Vec<_>>()),
+    }
+    let single = |text: &mut String, name: &str, values: &mut dyn Iterator<Item = f64>| {
+        floats(text, &format!("float {name}"), values.map(|value| value as f32));
+    };
+    single(&mut text, "B", &mut readouts.iter().flat_map(|of| of.outputs.iter().map(|(_, b)| *b)));
+    single(&mut text, "STEP", &mut rounded.iter().flat_map(|of| of.steps.iter().copied()));
+    single(&mut text, "SCALE", &mut scales.iter().copied());
+    // C has no empty arrays
+    single(&mut text, "CLASS", &mut classes.into_iter().chain([0.0]));
+    text.push_str("/* outputs and classes (0: values) of each task */\n");
+    whole(&mut text, "int COUNT", &rounded.iter().map(|of| of.weights.len()).collect::<Vec<_>>());
+    whole(&mut text, "int KIND", &readouts.iter().map(|of| of.classes.len()).collect::<Vec<_>>());
+    test(&mut text, &samples().take(TESTED).collect::<Vec<_>>(), readouts, &estimated);
+    text.push_str(include_str!("readout.c"));
+    Ok(text)
+}
+
+/// Signals and estimates of some samples.
+fn test(text: &mut String, samples: &[&[f64]], readouts: &[Readout], estimated: &[Vec<Vec<f64>>]) {
+    writeln!(text, "\n#ifdef BRAIN_TEST\n#define SAMPLES {}", samples.len()).expect("text");
+    floats(text, "float SIGNALS", samples.iter().flat_map(|own| own.iter()).map(|x| *x as f32));
+    let labels = (0..samples.len()).flat_map(|s| estimated.iter().flat_map(move |of| &of[s]));
+    floats(text, "float ESTIMATES", labels.map(|label| *label as f32));
+    let bounds = readouts.iter().zip(estimated).flat_map(|(of, estimated)| {
+        let most = estimated.iter().flatten().fold(0.0_f64, |most, label| most.max(label.abs()));
+        // classes must be equal
+        let bound = if of.classes.is_empty() { BOUND * most } else { 1e-6 };
+        vec![bound as f32; estimated.first().map_or(0, Vec::len)]
+    });
+    floats(text, "float BOUND", bounds);
+    text.push_str("#endif\n");
+}

@@ -1,0 +1,77 @@
+//! Readouts of the trial's tasks as weights of the signals, for a device.
+
+use super::estimates::error;
+use super::{Labelled, Labels, Readout, Task};
+use crate::trial::{Samples, Trial, Trouble, pick};
+
+/// A readout as weights of the signals: output = constant + Σ weight · signal / scale.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReadoutWeights {
+    /// The task.
+    pub task: Task,
+    /// Classes, ascending; empty for values.
+    pub classes: Vec<f64>,
+    /// Weights (T · channels) and constant per output. Two classes have one output, above 0 for the first.
+    pub outputs: Vec<(Vec<f64>, f64)>,
+}
+
+impl ReadoutWeights {
+    /// The label that these outputs stand for: the class of the greatest output, or the values.
+    pub fn label(&self, outputs: &[f64]) -> Vec<f64> {
+        match self.classes[..] {
+            [] => outputs.to_vec(),
+            [first, second] => vec![if outputs[0] > 0.0 { first } else { second }],
+            _ => {
+                let best = (0..outputs.len()).max_by(|&a, &b| outputs[a].total_cmp(&outputs[b]));
+                vec![self.classes[best.expect("there is a class")]]
+            }
+        }
+    }
+
+    /// Held-out error in the task's unit of estimated labels.
+    pub fn error(&self, truth: &Labels, estimated: &Labels) -> f64 {
+        error(self.task, truth, estimated)
+    }
+}
+
+impl Readout {
+    /// The readouts as weights of the signals.
+    fn weights(&self) -> Vec<ReadoutWeights> {
+        let of = |fit: &super::TaskFit| {
+            // outputs of two classes are opposite
+            let count = if fit.classes.len() == 2 { 1 } else { fit.outputs.len() };
+            let outputs = fit.outputs[..count].iter().map(|output| self.basis.weights(output)).collect();
+            ReadoutWeights { task: fit.task, classes: fit.classes.clone(), outputs }
+        };
+        self.fits.iter().map(of).collect()
+    }
+}
+
+/// Readouts of the trial's tasks on a body, and held-out samples to test them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TaskReadouts {
+    /// One per task.
+    pub readouts: Vec<ReadoutWeights>,
+    /// Divisor per signal channel.
+    pub scales: Vec<f64>,
+    /// Signals (n, T, channels) of the held-out samples with force (mm/s², rad/s).
+    pub signals: Vec<f64>,
+    /// Their labels per task.
+    pub labels: Vec<Labels>,
+}
+
+/// Fits readouts of the trial's tasks to the training samples of a body.
+///
+/// # Errors
+/// If the training samples are too few or too similar.
+pub(crate) fn task_readouts(trial: &Trial, sets: &[Samples; 3]) -> Result<TaskReadouts, Trouble> {
+    let [train, _, holdout] = trial.problem.parts();
+    let readouts = Labelled::of(trial, &sets[0], &train).fit()?.weights();
+    let Labelled { used, tasks, .. } = Labelled::of(trial, &sets[2], &holdout);
+    Ok(TaskReadouts {
+        readouts,
+        scales: trial.scales.channels.clone(),
+        signals: pick(&sets[2].signals, sets[2].count(), &used),
+        labels: tasks.into_iter().map(|(_, labels)| labels).collect(),
+    })
+}
