@@ -11,6 +11,7 @@ mod bad_input;
 mod bodies;
 mod brains;
 mod browser;
+mod capacity;
 mod casts;
 mod check;
 mod comparison;

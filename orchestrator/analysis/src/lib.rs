@@ -6,6 +6,7 @@
 
 pub mod bodies;
 pub mod brains;
+pub mod capacity;
 pub mod casts;
 pub mod claims;
 pub mod compare;

@@ -8,6 +8,7 @@ mod say;
 mod analyse;
 mod archive;
 mod bound;
+mod capacity;
 mod casts;
 mod check;
 mod completions;
@@ -135,7 +136,7 @@ commands! {
     "A sweep": Init init, Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "Results": Query query, Analyse analyse, Report report, Export export, Archive archive, Remove remove;
     /// Computes properties of single bodies, without a sweep
-    Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Tasks tasks, Project project;
+    Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Tasks tasks, Capacity capacity, Project project;
     /// Compares bodies with measured records and reference data
     Lab lab: Check check, Identify identify, Evaluate evaluate, Verify verify;
     /// Prints what editors, shells and manuals use

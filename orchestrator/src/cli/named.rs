@@ -14,14 +14,16 @@ use metasense_worker::memory;
 use metasense_worker::run::Failure;
 use metasense_worker::{design, problem};
 
-use super::Error;
 use super::spec_body::SpecBody;
+use super::{Error, Format};
+use crate::analysis;
 use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
 use crate::files;
 use crate::look::Table;
 use crate::plan::{Plan, Trial, counted};
 use crate::reader::{Reader, StoredTrial, quoted};
+use crate::report::load::finished_trials;
 use crate::store::StoreError;
 
 /// Measured records of a trial's body. Prints a note if their signals had to be resampled.
@@ -74,6 +76,49 @@ pub(super) struct Named {
     /// by default). After SPEC also values that replace those of the spec, as in `run`
     #[arg(value_name = "HASH|KEY=VALUE")]
     pub words: Vec<String>,
+}
+
+/// Finished trials of a database, and how to print them.
+#[derive(Debug, clap::Args)]
+pub(super) struct Finished {
+    /// The database
+    #[arg(value_name = "DB")]
+    db: PathBuf,
+    /// One trial, by its hash or the beginning of it [default: all finished trials]
+    hash: Option<String>,
+    /// Format: a table of means, or rows
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    pub format: Format,
+}
+
+impl Finished {
+    /// The trials. Calls `visit` with what is stored of each `wanted` trial.
+    ///
+    /// # Errors
+    /// If no trial is finished, or as `visit`.
+    pub async fn visit(
+        &self,
+        wanted: impl Fn(&analysis::Trial) -> bool,
+        mut visit: impl FnMut(&StoredTrial, &mut analysis::Trial) -> Result<(), Error>,
+    ) -> Result<Vec<analysis::Trial>, Error> {
+        let visited = Reader::with_reader(Database::at(&self.db).await?, async |reader| -> Result<_, Error> {
+            let mut trials = finished_trials(reader).await?;
+            if let Some(hash) = &self.hash {
+                let hash = reader.hash_of(hash).await?;
+                trials.retain(|trial| trial.hash == hash);
+            }
+            for trial in trials.iter_mut().filter(|trial| wanted(trial)) {
+                if let Some(stored) = reader.stored(&trial.hash).await? {
+                    visit(&stored, trial)?;
+                }
+            }
+            Ok(trials)
+        })
+        .await?;
+        let db = self.db.display();
+        let none = || Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`"));
+        if visited.is_empty() { Err(none()) } else { Ok(visited) }
+    }
 }
 
 /// A database to read: a file, or the facts of the shards of a folder.

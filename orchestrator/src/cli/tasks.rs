@@ -1,20 +1,17 @@
 //! `tasks`: estimates quantities other than forces from the signals of finished bodies.
 
-use std::path::PathBuf;
-
 use metasense_lab::tasks::{Task, tasks};
 use metasense_schemas::record::TaskReading;
 use serde_json::Value;
 
-use super::named::Database;
+use super::named::Finished;
 use super::{Error, Format, cores, print_rows};
 use crate::analysis::kinds::brains;
 use crate::analysis::tasks::{matrix, results, table, trained_for};
 use crate::analysis::{Body, Cluster, Trial};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::reader::{Reader, StoredTrial};
-use crate::report::load::finished_trials;
+use crate::reader::StoredTrial;
 
 /// Estimates quantities other than forces from finished bodies: where, how many, when
 ///
@@ -29,45 +26,21 @@ use crate::report::load::finished_trials;
 /// the greatest (ms); kind, the part of `stimuli.mix` (% wrong; direct only). A task whose label is the same in all samples is omitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database
-    #[arg(value_name = "DB")]
-    db: PathBuf,
-    /// One trial, by its hash or the beginning of it [default: all finished trials]
-    hash: Option<String>,
-    /// Format: a table of means, or rows
-    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
-    format: Format,
+    #[command(flatten)]
+    trials: Finished,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let trials = Reader::with_reader(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
-        let mut trials = finished_trials(reader).await?;
-        if let Some(hash) = &args.hash {
-            let hash = reader.hash_of(hash).await?;
-            trials.retain(|trial| trial.hash == hash);
-        }
-        for trial in &mut trials {
-            if Body::ALL.iter().any(|body| !has_estimates(trial, *body))
-                && let Some(stored) = reader.stored(&trial.hash).await?
-            {
-                estimate(&stored, trial)?;
-            }
-        }
-        Ok(trials)
-    })
-    .await?;
-    let Some(first) = trials.first() else {
-        let db = args.db.display();
-        return Err(Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`")));
-    };
+    let lacks_estimates = |trial: &Trial| Body::ALL.iter().any(|body| !has_estimates(trial, *body));
+    let trials = args.trials.visit(lacks_estimates, estimate).await?;
     let names = Task::ALL.map(|task| task.name().0);
-    let constant: Vec<&str> =
-        names.into_iter().filter(|name| first.tasks.iter().all(|read| read.task != *name)).collect();
+    let is_constant = |name: &&str| trials[0].tasks.iter().all(|read| read.task != *name);
+    let constant: Vec<&str> = names.into_iter().filter(is_constant).collect();
     if !constant.is_empty() {
         say!("omitted, because their labels are the same in all samples: {}", constant.join(", "));
     }
-    let columns = "hash panels sensors placement seed trained_with trained_for body task readout unit error low high least trivial samples score";
-    match args.format {
+    let columns = format!("{HEAD} task readout unit error low high least trivial samples score");
+    match args.trials.format {
         Format::Table => {
             let all = results(&trials.iter().collect::<Vec<_>>());
             let mut means = table(&all);
@@ -80,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 print_rows(&matrix, Format::Table)?;
             }
         }
-        format => print_rows(&Table::new(columns, trials.iter().flat_map(rows)), format)?,
+        format => print_rows(&Table::new(&columns, trials.iter().flat_map(rows)), format)?,
     }
     Ok(Exit::Done)
 }
@@ -101,17 +74,27 @@ fn estimate(stored: &StoredTrial, trial: &mut Trial) -> Result<(), Error> {
     Ok(())
 }
 
-fn rows(trial: &Trial) -> Vec<Vec<Value>> {
-    let trained_for = trained_for(trial);
+/// First columns of rows about a body.
+pub(super) const HEAD: &str = "hash panels sensors placement seed trained_with trained_for body";
+
+/// The decoder with which the body of a trial was trained.
+pub(super) fn trained_with(trial: &Trial) -> String {
     let [_, with] = brains(&trial.setting);
-    let with = with.replace(&format!(" for {trained_for}"), "");
+    with.replace(&format!(" for {}", trained_for(trial)), "")
+}
+
+/// Values of the first columns.
+pub(super) fn head(trial: &Trial, body: &str) -> Vec<Value> {
     let Cluster { placement, seed } = trial.cluster;
+    let (with, trained_for) = (trained_with(trial), trained_for(trial));
+    row![trial.hash, trial.panels, trial.sensors, placement, seed, with, trained_for, body]
+}
+
+fn rows(trial: &Trial) -> Vec<Vec<Value>> {
     let row = |read: &TaskReading| {
-        let head =
-            row![trial.hash, trial.panels, trial.sensors, placement, seed, with, trained_for, read.body];
         let TaskReading { task, readout, unit, error, interval, least, trivial, samples, score, .. } = read;
-        [head, row![task, readout, unit, error, interval[0], interval[1], least, trivial, samples, score]]
-            .concat()
+        let values = row![task, readout, unit, error, interval[0], interval[1], least, trivial, samples, score];
+        [head(trial, &read.body), values].concat()
     };
     trial.tasks.iter().map(row).collect()
 }

@@ -36,6 +36,8 @@ pub enum Purpose {
     Cast = 11,
     /// Position of a blow; counters: purpose and number of the sample, panel.
     Strike = 12,
+    /// Random drive of a body; counters: drive, unused.
+    Drive = 13,
 }
 
 /// A source of random bits.

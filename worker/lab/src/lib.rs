@@ -1,10 +1,11 @@
-//! Questions about one body or about measured records, asked outside of trials: modes, bounds, placements, simulations, replays of
-//! finished trials, fits and checks of records, comparisons with reference cases.
+//! Questions about one body or about measured records, asked outside of trials: modes, bounds, capacities, placements, simulations,
+//! replays of finished trials, fits and checks of records, comparisons with reference cases.
 //!
 //! No trial uses this package, so it cannot change the results of a trial. `questions` contains the algorithms, which use neither
 //! files nor clocks; the other modules convert specs and files, and call the algorithms.
 
 pub mod bound;
+pub mod capacity;
 pub mod casts;
 pub mod check;
 pub mod demands;

@@ -1,6 +1,7 @@
-//! Algorithms of the questions: small motions, information of the sensors, replays, checks of records.
+//! Algorithms of the questions: small motions, information of the sensors, replays, capacities, checks of records.
 
 mod bound;
+pub mod capacity;
 mod chain;
 pub mod check;
 pub mod modes;
