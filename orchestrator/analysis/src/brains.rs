@@ -41,7 +41,11 @@ pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
     let mut found = Vec::new();
     for [by, trained_with] in kinds.iter().copied() {
         let alike = having(&|kind| kind[0] == *by && kind[1] == *trained_with);
-        let errors = |t: &&&Trial, set: Set| Some((t.cluster, Body::ALL.map(|body| t.error(body, set))));
+        // errors of other tasks are not errors of forces
+        let errors = |t: &&&Trial, set: Set| {
+            let of_forces = !t.setting.contains_key("brain.task");
+            of_forces.then(|| (t.cluster, Body::ALL.map(|body| t.error(body, set))))
+        };
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
         found.extend(read(trained_with, by, (memory, false, true), |set| {
             alike.iter().filter_map(|t| errors(t, set)).collect()

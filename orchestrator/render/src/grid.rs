@@ -22,6 +22,8 @@ pub struct Cell {
 /// Width and height of a cell (px); room for row and column names.
 const CELL: [f64; 2] = [56.0, 26.0];
 const ROOM: [f64; 2] = [64.0, 40.0];
+/// Least width (px): pages scale pictures to equal widths, and few columns would have large letters.
+const WIDTH_MIN: f64 = 400.0;
 
 /// A grid with row names on the left and column names at the bottom.
 pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cells: &[Vec<Cell>]) -> Picture {
@@ -61,7 +63,7 @@ pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cel
     Picture {
         title: title.into(),
         class: "grid-of-cells",
-        view: [0.0, 0.0, right + 4.0, (2.0 * middle).max(floor + ROOM[1])],
+        view: [0.0, 0.0, (right + 4.0).max(WIDTH_MIN), (2.0 * middle).max(floor + ROOM[1])],
         marks,
     }
 }

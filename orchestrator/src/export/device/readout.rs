@@ -15,36 +15,42 @@ const TESTED: usize = 20;
 /// Allowed difference from the estimates, relative to the largest of their kind: rounding in 32-bit floats.
 const BOUND: f64 = 1e-3;
 
-/// A readout with weights as the device holds them.
+/// A readout as the device holds it.
 struct Rounded<'a> {
     of: &'a Readout,
-    /// Weights per output, as multiples of `steps`.
-    weights: Vec<Vec<f64>>,
-    steps: Vec<f64>,
+    outputs: Vec<Output>,
+}
+
+/// An output: constant + step · Σ weight · signal / scale.
+struct Output {
+    weights: Vec<f64>,
+    step: f64,
+    constant: f64,
+}
+
+impl Output {
+    fn new((weights, constant): &(Vec<f64>, f64), numbers: Numbers) -> Self {
+        let most = weights.iter().fold(0.0_f64, |most, w| most.max(w.abs()));
+        let step = numbers.most().filter(|_| most > 0.0).map_or(1.0, |levels| most / levels as f64);
+        let round = |w: f64| if numbers == Numbers::F32 { f64::from(w as f32) } else { w.round() };
+        Self { weights: weights.iter().map(|w| round(w / step)).collect(), step, constant: *constant }
+    }
+
+    fn value(&self, signals: &[f64], scales: &[f64]) -> f64 {
+        let products = self.weights.iter().zip(signals).zip(scales.iter().cycle());
+        self.constant + self.step * products.map(|((w, x), scale)| w * x / scale).sum::<f64>()
+    }
 }
 
 impl<'a> Rounded<'a> {
     fn new(of: &'a Readout, numbers: Numbers) -> Self {
-        let step = |weights: &Vec<f64>| {
-            let most = weights.iter().fold(0.0_f64, |most, w| most.max(w.abs()));
-            numbers.most().filter(|_| most > 0.0).map_or(1.0, |levels| most / levels as f64)
-        };
-        let steps: Vec<f64> = of.outputs.iter().map(|(weights, _)| step(weights)).collect();
-        let round = |w: f64| if numbers == Numbers::F32 { f64::from(w as f32) } else { w.round() };
-        let weights = of.outputs.iter().zip(&steps);
-        let weights = weights.map(|((weights, _), step)| weights.iter().map(|w| round(w / step)).collect());
-        Self { of, weights: weights.collect(), steps }
+        Self { of, outputs: of.outputs.iter().map(|output| Output::new(output, numbers)).collect() }
     }
 
     /// Label of a sample with these signals (T · channels).
     fn estimate(&self, signals: &[f64], scales: &[f64]) -> Vec<f64> {
-        let output = |((weights, step), (_, constant)): ((&Vec<f64>, &f64), &(Vec<f64>, f64))| {
-            let products = weights.iter().zip(signals).zip(scales.iter().cycle());
-            constant + step * products.map(|((w, x), scale)| w * x / scale).sum::<f64>()
-        };
-        let outputs: Vec<f64> =
-            self.weights.iter().zip(&self.steps).zip(&self.of.outputs).map(output).collect();
-        self.of.label(&outputs)
+        let values = self.outputs.iter().map(|output| output.value(signals, scales));
+        self.of.label(&values.collect::<Vec<_>>())
     }
 }
 
@@ -67,7 +73,8 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
         format!("     {name}: {count} {what}; held-out error {:.4} {unit}\n", of.error(truth, estimated))
     });
     let described: String = described.collect();
-    let outputs: usize = rounded.iter().map(|of| of.weights.len()).sum();
+    let all = || rounded.iter().flat_map(|of| &of.outputs);
+    let outputs = all().count();
     let classes: Vec<f64> = readouts.iter().flat_map(|of| of.classes.iter().copied()).collect();
     let bytes = numbers.bytes(false)[0] * outputs * instants * channels;
     let tables = 4 * (2 * outputs + channels + classes.len() + 2 * readouts.len());
@@ -107,7 +114,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
         Numbers::I16 => "#include <stdint.h>\n\ntypedef int16_t weight;\n",
         Numbers::I8 => "#include <stdint.h>\n\ntypedef int8_t weight;\n",
     });
-    let weights = || rounded.iter().flat_map(|of| &of.weights).flatten();
+    let weights = || all().flat_map(|output| &output.weights);
     match numbers {
         Numbers::F32 => floats(&mut text, "weight W", weights().map(|w| *w as f32)),
         _ => whole(&mut text, "weight W", &weights().map(|w| *w as i64).collect::<Vec<_>>()),
@@ -115,13 +122,13 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
     let single = |text: &mut String, name: &str, values: &mut dyn Iterator<Item = f64>| {
         floats(text, &format!("float {name}"), values.map(|value| value as f32));
     };
-    single(&mut text, "B", &mut readouts.iter().flat_map(|of| of.outputs.iter().map(|(_, b)| *b)));
-    single(&mut text, "STEP", &mut rounded.iter().flat_map(|of| of.steps.iter().copied()));
+    single(&mut text, "B", &mut all().map(|output| output.constant));
+    single(&mut text, "STEP", &mut all().map(|output| output.step));
     single(&mut text, "SCALE", &mut scales.iter().copied());
     // C has no empty arrays
     single(&mut text, "CLASS", &mut classes.into_iter().chain([0.0]));
     text.push_str("/* outputs and classes (0: values) of each task */\n");
-    whole(&mut text, "int COUNT", &rounded.iter().map(|of| of.weights.len()).collect::<Vec<_>>());
+    whole(&mut text, "int COUNT", &rounded.iter().map(|of| of.outputs.len()).collect::<Vec<_>>());
     whole(&mut text, "int KIND", &readouts.iter().map(|of| of.classes.len()).collect::<Vec<_>>());
     test(&mut text, &samples().take(TESTED).collect::<Vec<_>>(), readouts, &estimated);
     text.push_str(include_str!("readout.c"));
