@@ -54,8 +54,7 @@ fn of_trial(
     let mut bodies = Vec::new();
     for body in Body::ALL {
         let of = body as usize;
-        let found =
-            capacity(&stored.specs[of], &stored.designs[of], instants, cores()).map_err(refused)?;
+        let found = capacity(&stored.specs[of], &stored.designs[of], instants, cores()).map_err(refused)?;
         rows.extend(found.iter().map(|Measure { name: measure, value, bound }| {
             [head(trial, body.name()), row![measure, value, bound, milliseconds]].concat()
         }));

@@ -101,20 +101,21 @@ impl Finished {
         wanted: impl Fn(&analysis::Trial) -> bool,
         mut visit: impl FnMut(&StoredTrial, &mut analysis::Trial) -> Result<(), Error>,
     ) -> Result<Vec<analysis::Trial>, Error> {
-        let visited = Reader::with_reader(Database::at(&self.db).await?, async |reader| -> Result<_, Error> {
-            let mut trials = finished_trials(reader).await?;
-            if let Some(hash) = &self.hash {
-                let hash = reader.hash_of(hash).await?;
-                trials.retain(|trial| trial.hash == hash);
-            }
-            for trial in trials.iter_mut().filter(|trial| wanted(trial)) {
-                if let Some(stored) = reader.stored(&trial.hash).await? {
-                    visit(&stored, trial)?;
+        let visited =
+            Reader::with_reader(Database::at(&self.db).await?, async |reader| -> Result<_, Error> {
+                let mut trials = finished_trials(reader).await?;
+                if let Some(hash) = &self.hash {
+                    let hash = reader.hash_of(hash).await?;
+                    trials.retain(|trial| trial.hash == hash);
                 }
-            }
-            Ok(trials)
-        })
-        .await?;
+                for trial in trials.iter_mut().filter(|trial| wanted(trial)) {
+                    if let Some(stored) = reader.stored(&trial.hash).await? {
+                        visit(&stored, trial)?;
+                    }
+                }
+                Ok(trials)
+            })
+            .await?;
         let db = self.db.display();
         let none = || Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`"));
         if visited.is_empty() { Err(none()) } else { Ok(visited) }

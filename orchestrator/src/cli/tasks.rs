@@ -93,7 +93,8 @@ pub(super) fn head(trial: &Trial, body: &str) -> Vec<Value> {
 fn rows(trial: &Trial) -> Vec<Vec<Value>> {
     let row = |read: &TaskReading| {
         let TaskReading { task, readout, unit, error, interval, least, trivial, samples, score, .. } = read;
-        let values = row![task, readout, unit, error, interval[0], interval[1], least, trivial, samples, score];
+        let values =
+            row![task, readout, unit, error, interval[0], interval[1], least, trivial, samples, score];
         [head(trial, &read.body), values].concat()
     };
     trial.tasks.iter().map(row).collect()
