@@ -69,8 +69,11 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
         rounded.iter().map(|of| samples().map(|own| of.estimate(own, scales)).collect()).collect();
     let described = readouts.iter().zip(labels).zip(&estimated).map(|((of, truth), estimated)| {
         let ((name, unit), count) = (of.task.name(), estimated.first().map_or(0, Vec::len));
-        let what = if of.classes.is_empty() { "values" } else { "class" };
-        format!("     {name}: {count} {what}; held-out error {:.4} {unit}\n", of.error(truth, estimated))
+        let what = match of.classes.is_empty() {
+            true => format!("{count} value{}", if count == 1 { "" } else { "s" }),
+            false => "class".into(),
+        };
+        format!("     {name}: {what}; held-out error {:.4} {unit}\n", of.error(truth, estimated))
     });
     let described: String = described.collect();
     let all = || rounded.iter().flat_map(|of| &of.outputs);
