@@ -13,7 +13,7 @@ use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::reader::StoredTrial;
 
-/// Computes memory and nonlinearity of finished bodies: capacities and errors on NARMA sequences
+/// Computes memory and nonlinearity of finished bodies: capacities and NARMA errors
 ///
 /// In 16 drives, the first panel receives a random force u, uniform between ± the largest force of the training samples, and new
 /// after each hold: a quarter of the period of the initial body's first natural frequency, in whole instants. 50 holds of each
