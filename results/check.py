@@ -823,6 +823,34 @@ def tasks_decoded():
         yield cells, initial + [mean(training, "optimised", "error") for training in ("forces", "impulse", "all")]
 
 
+def position():
+    for training, task, readout, unit, *cells in table("position"):
+        def column(body, name):
+            return numbers(rows("position/rows.csv", trained_for=training, task=task, readout=readout, body=body), name)
+        initial, trained = column("initial", "error"), column("optimised", "error")
+        trivial = short(statistics.fmean(column("initial", "trivial")))
+        spreads = [interval(values, lambda x: x) for values in (initial, trained)]
+        yield cells, [trivial, *spreads, with_interval([a / b for a, b in zip(initial, trained, strict=True)])]
+
+
+def ranks(values):
+    return [statistics.fmean(i for i, y in enumerate(sorted(values)) if y == x) for x in values]
+
+
+def capacity():
+    trainings = ["forces", "panel", "count", "position", "peak", "impulse", "onset", "all"]
+    for measure, *cells in table("capacity"):
+        def values(training, body):
+            return numbers(rows("tasks/capacity.csv", measure=measure, trained_for=training, body=body), "value")
+        def correlation(task):
+            errors = [numbers(rows("tasks/transfer.csv", task=task, readout="decoded", body="optimised", trained_for=training), "error") for training in trainings]
+            measures = [values(training, "optimised") for training in trainings]
+            per_seed = zip(zip(*measures), zip(*errors))
+            return interval([statistics.correlation(ranks(a), ranks(b)) for a, b in per_seed], lambda x: x)
+        means = [short(statistics.fmean(values(training, "optimised"))) for training in ("forces", "impulse", "onset", "all")]
+        yield cells, [short(statistics.fmean(values("forces", "initial"))), *means, correlation("forces"), correlation("position")]
+
+
 def paper_protocol():
     yield from of_protocol("paper protocol", "fig2", "01")
 
@@ -976,7 +1004,7 @@ def recordings():
         yield said[line], [" → ".join(short(geometric(errors)) for errors in of) + " %", gain]
 
 
-CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing, recordings]
+CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, position, capacity, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing, recordings]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

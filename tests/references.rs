@@ -106,6 +106,8 @@ const BLOCKS: &[(&str, Render)] = &[
     ("tasks", tasks::tasks),
     ("tasks transfer", tasks::transfer),
     ("tasks decoded", tasks::decoded),
+    ("position", tasks::position),
+    ("capacity", tasks::capacity),
     ("deviations", deviations::deviations),
     ("deviations of other figures", deviations::other_figures),
 ];

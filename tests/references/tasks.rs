@@ -103,3 +103,91 @@ pub fn decoded() -> String {
         ["task", "unit", "without signals", "initial", "trained for forces", "for impulse", "for all"];
     table(&columns, TRAININGS[..7].iter().map(line))
 }
+
+/// One line per training and readout of `position-two-core`: means over seeds, and the ratio of the errors of the initial and the
+/// trained body.
+pub fn position() -> String {
+    let all = rows("position/rows.csv");
+    let line = |(training, task, readout): &(&str, &str, &str)| {
+        let column = |body: &str, name: &str| -> Vec<f64> {
+            let wanted = [("trained_for", *training), ("task", *task), ("readout", *readout), ("body", body)];
+            of(&all, &wanted).map(|row| number(row, name)).collect()
+        };
+        let [initial, trained] = ["initial", "optimised"].map(|body| column(body, "error"));
+        let logs: Vec<f64> = initial.iter().zip(&trained).map(|(a, b)| (a / b).ln()).collect();
+        let first = of(&all, &[("task", task)]).next().expect("rows of the task").clone();
+        let head = [training, task, readout, first["unit"].as_str()].map(str::to_owned);
+        let trivial = column("initial", "trivial");
+        let trivial = short(&(trivial.iter().sum::<f64>() / trivial.len() as f64).to_string());
+        let shown = [&initial, &trained].map(|errors| with_interval(errors, |error| error));
+        [&head[..], &[trivial], &shown, &[with_interval(&logs, f64::exp)]].concat()
+    };
+    let kinds = [
+        ("position", "position", "direct"),
+        ("forces", "position", "direct"),
+        ("forces", "position", "decoded"),
+        ("panel", "panel", "direct"),
+        ("panel", "panel", "decoded"),
+    ];
+    let columns = ["trained for", "task", "readout", "unit", "without signals", "initial", "trained", "gain"];
+    table(&columns, kinds.iter().map(line))
+}
+
+/// One line per measure of memory and nonlinearity: means over seeds per training, and the rank correlation, over trainings, of the
+/// trained body's measure with the error of the forces and of the position (decoded): mean over seeds.
+pub fn capacity() -> String {
+    let (all, errors) = (rows("tasks/capacity.csv"), rows("tasks/transfer.csv"));
+    let seeds = seeds(&all);
+    let value = |measure: &str, training: &str, body: &str, seed: &str| {
+        let wanted = [("measure", measure), ("trained_for", training), ("body", body), ("seed", seed)];
+        number(only_row(&all, &wanted), "value")
+    };
+    let error = |task: &str, training: &str, seed: &str| {
+        let wanted = [("task", task), ("readout", "decoded"), ("body", "optimised")];
+        let own = [&wanted[..], &[("trained_for", training), ("seed", seed)]].concat();
+        number(only_row(&errors, &own), "error")
+    };
+    let line = |measure: &&str| {
+        let mean = |training: &str, body: &str| {
+            let values = seeds.iter().map(|seed| value(measure, training, body, seed));
+            short(&(values.sum::<f64>() / seeds.len() as f64).to_string())
+        };
+        let correlation = |task: &str| {
+            let of_seed = |seed: &&str| {
+                let measures = TRAININGS.map(|training| value(measure, training, "optimised", seed));
+                rank_correlation(&measures, &TRAININGS.map(|training| error(task, training, seed)))
+            };
+            with_interval(&seeds.iter().map(of_seed).collect::<Vec<_>>(), |rank| rank)
+        };
+        let trained = ["forces", "impulse", "onset", "all"].map(|training| mean(training, "optimised"));
+        let head = vec![(*measure).to_owned(), mean("forces", "initial")];
+        [head, trained.to_vec(), ["forces", "position"].map(correlation).to_vec()].concat()
+    };
+    let measures = ["memory", "degree 2", "degree 3", "total", "narma-2", "narma-5", "narma-10"];
+    let columns = [
+        "measure",
+        "initial",
+        "trained for forces",
+        "for impulse",
+        "for onset",
+        "for all",
+        "correlation with the error of forces",
+        "of position",
+    ];
+    table(&columns, measures.iter().map(line))
+}
+
+/// Spearman's rank correlation; equal values have their mean rank.
+fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
+    let ranks = |values: &[f64]| -> Vec<f64> {
+        let below = |x: f64| values.iter().filter(|y| **y < x).count() as f64;
+        let equal = |x: f64| values.iter().filter(|y| **y == x).count() as f64;
+        values
+            .iter()
+            .map(|x| below(*x) + (equal(*x) - 1.0) / 2.0 - (values.len() as f64 - 1.0) / 2.0)
+            .collect()
+    };
+    let (a, b) = (ranks(a), ranks(b));
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    product(&a, &b) / (product(&a, &a) * product(&b, &b)).sqrt()
+}
