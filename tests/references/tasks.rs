@@ -1,5 +1,7 @@
 //! The tables of tasks other than forces in the authors' scene.
 
+use metasense::analysis::numbers::{correlation, mean, ranks};
+
 use super::rows::{Row, number, of, only_row, rows, seeds, short, with_interval};
 use super::table;
 
@@ -84,14 +86,17 @@ pub fn transfer() -> String {
     table(&columns, TRAININGS.iter().map(line).chain(["forces", "all"].map(kept)))
 }
 
+fn rounded_mean(values: &[f64]) -> String {
+    short(&mean(values).expect("there are rows").to_string())
+}
+
 /// One line per task: mean errors over seeds of the decoded readout, on initial and on trained bodies.
 pub fn decoded() -> String {
     let all = rows("tasks/transfer.csv");
     let line = |task: &&str| {
         let mean = |training: &str, body: &str, column: &str| {
             let wanted = [("trained_for", training), ("task", task), ("readout", "decoded"), ("body", body)];
-            let own: Vec<f64> = of(&all, &wanted).map(|row| number(row, column)).collect();
-            short(&(own.iter().sum::<f64>() / own.len() as f64).to_string())
+            rounded_mean(&of(&all, &wanted).map(|row| number(row, column)).collect::<Vec<_>>())
         };
         let first = of(&all, &[("task", task)]).next().expect("rows of the task").clone();
         let trained = ["forces", "impulse", "all"].map(|training| mean(training, "optimised", "error"));
@@ -117,8 +122,7 @@ pub fn position() -> String {
         let logs: Vec<f64> = initial.iter().zip(&trained).map(|(a, b)| (a / b).ln()).collect();
         let first = of(&all, &[("task", task)]).next().expect("rows of the task").clone();
         let head = [training, task, readout, first["unit"].as_str()].map(str::to_owned);
-        let trivial = column("initial", "trivial");
-        let trivial = short(&(trivial.iter().sum::<f64>() / trivial.len() as f64).to_string());
+        let trivial = rounded_mean(&column("initial", "trivial"));
         let shown = [&initial, &trained].map(|errors| with_interval(errors, |error| error));
         [&head[..], &[trivial], &shown, &[with_interval(&logs, f64::exp)]].concat()
     };
@@ -150,18 +154,19 @@ pub fn capacity() -> String {
     let line = |measure: &&str| {
         let mean = |training: &str, body: &str| {
             let values = seeds.iter().map(|seed| value(measure, training, body, seed));
-            short(&(values.sum::<f64>() / seeds.len() as f64).to_string())
+            rounded_mean(&values.collect::<Vec<_>>())
         };
-        let correlation = |task: &str| {
+        let with_errors = |task: &str| {
             let of_seed = |seed: &&str| {
                 let measures = TRAININGS.map(|training| value(measure, training, "optimised", seed));
-                rank_correlation(&measures, &TRAININGS.map(|training| error(task, training, seed)))
+                let errors = TRAININGS.map(|training| error(task, training, seed));
+                correlation(&ranks(&measures), &ranks(&errors)).expect("they differ")
             };
             with_interval(&seeds.iter().map(of_seed).collect::<Vec<_>>(), |rank| rank)
         };
         let trained = ["forces", "impulse", "onset", "all"].map(|training| mean(training, "optimised"));
         let head = vec![(*measure).to_owned(), mean("forces", "initial")];
-        [head, trained.to_vec(), ["forces", "position"].map(correlation).to_vec()].concat()
+        [head, trained.to_vec(), ["forces", "position"].map(with_errors).to_vec()].concat()
     };
     let measures = ["memory", "degree 2", "degree 3", "total", "narma-2", "narma-5", "narma-10"];
     let columns = [
@@ -175,19 +180,4 @@ pub fn capacity() -> String {
         "of position",
     ];
     table(&columns, measures.iter().map(line))
-}
-
-/// Spearman's rank correlation; equal values have their mean rank.
-fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
-    let ranks = |values: &[f64]| -> Vec<f64> {
-        let below = |x: f64| values.iter().filter(|y| **y < x).count() as f64;
-        let equal = |x: f64| values.iter().filter(|y| **y == x).count() as f64;
-        values
-            .iter()
-            .map(|x| below(*x) + (equal(*x) - 1.0) / 2.0 - (values.len() as f64 - 1.0) / 2.0)
-            .collect()
-    };
-    let (a, b) = (ranks(a), ranks(b));
-    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    product(&a, &b) / (product(&a, &a) * product(&b, &b)).sqrt()
 }

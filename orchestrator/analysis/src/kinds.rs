@@ -11,6 +11,16 @@ use super::trial::Trial;
 
 /// Returns the names of the trial's own decoder and of the decoder in the training of its body.
 pub fn brains(setting: &Setting) -> [String; 2] {
+    brains_for(setting, setting.text("brain.task"))
+}
+
+/// The name of the decoder in the training of the body, without the task.
+pub fn trained_with(setting: &Setting) -> String {
+    let [_, with] = brains_for(setting, None);
+    with
+}
+
+fn brains_for(setting: &Setting, task: Option<&str>) -> [String; 2] {
     let mut own = match setting.text("brain.kind") {
         Some("stacked") => match network(setting) {
             shape if shape == "cnn" => "stacked".to_owned(),
@@ -26,7 +36,7 @@ pub fn brains(setting: &Setting) -> [String; 2] {
         Some(kind) => kind.to_owned(),
         None => network(setting),
     };
-    if let Some(task) = setting.text("brain.task") {
+    if let Some(task) = task {
         [&mut own, &mut with].into_iter().for_each(|kind| *kind += &format!(" for {task}"));
     }
     with.extend(objective(setting).map(|over| format!(", {over}")));

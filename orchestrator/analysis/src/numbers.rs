@@ -1,4 +1,4 @@
-//! Means, quantiles, distinct values.
+//! Means, correlations, quantiles, distinct values.
 
 use std::collections::BTreeSet;
 
@@ -34,6 +34,23 @@ pub fn deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
+}
+
+/// Ranks from 1; equal numbers share their mean rank.
+pub fn ranks(values: &[f64]) -> Vec<f64> {
+    let below = |x: f64| values.iter().filter(|y| **y < x).count() as f64;
+    let equal = |x: f64| values.iter().filter(|y| **y == x).count() as f64;
+    values.iter().map(|x| below(*x) + 0.5 * (equal(*x) + 1.0)).collect()
+}
+
+/// Pearson correlation; `None` if either list is constant.
+pub fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
+    let (at_x, at_y) = (mean(x)?, mean(y)?);
+    let product = |a: &[f64], at: f64, b: &[f64], bt: f64| -> f64 {
+        a.iter().zip(b).map(|(a, b)| (a - at) * (b - bt)).sum()
+    };
+    let size = (product(x, at_x, x, at_x) * product(y, at_y, y, at_y)).sqrt();
+    (size > 0.0).then(|| product(x, at_x, y, at_y) / size)
 }
 
 /// Returns a quantile of sorted values, by linear interpolation between order statistics.

@@ -5,7 +5,7 @@
 use serde_json::Value;
 
 use super::Resampling;
-use super::numbers::{distinct, geometric_mean, mean};
+use super::numbers::{correlation, distinct, geometric_mean, ranks};
 use super::trial::Cluster;
 use metasense_render::{Table, row};
 
@@ -68,23 +68,6 @@ fn rows(setting: &str, changes: &[&BodyPair]) -> Vec<Vec<Value>> {
         row![setting, name, initial, optimised, optimised / initial, all, low, high, resampling.over()]
     };
     MEASURES.into_iter().enumerate().map(of).collect()
-}
-
-/// Ranks from 1; equal numbers share their mean rank.
-fn ranks(values: &[f64]) -> Vec<f64> {
-    let below = |x: f64| values.iter().filter(|y| **y < x).count() as f64;
-    let equal = |x: f64| values.iter().filter(|y| **y == x).count() as f64;
-    values.iter().map(|x| below(*x) + 0.5 * (equal(*x) + 1.0)).collect()
-}
-
-/// Pearson correlation; `None` if either list is constant.
-fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
-    let (at_x, at_y) = (mean(x)?, mean(y)?);
-    let product = |a: &[f64], at: f64, b: &[f64], bt: f64| -> f64 {
-        a.iter().zip(b).map(|(a, b)| (a - at) * (b - bt)).sum()
-    };
-    let size = (product(x, at_x, x, at_x) * product(y, at_y, y, at_y)).sqrt();
-    (size > 0.0).then(|| product(x, at_x, y, at_y) / size)
 }
 
 #[cfg(test)]

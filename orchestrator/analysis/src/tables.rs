@@ -157,7 +157,7 @@ impl Question {
             Self::Brains => brains_table(&trials),
             Self::Casts => casts_table(&trials),
             Self::Transfer => transfer_table(&trials),
-            Self::Tasks => tasks_table(&trials),
+            Self::Tasks => tasks::table(&tasks::results(&tasks::in_steps(trials.iter().copied()))),
             Self::Iterations => iterations_table(&trials),
             Self::Long => long_table(&trials),
             Self::Sensors => sensors_table(&trials, terms),
@@ -283,11 +283,6 @@ fn transfer_table(trials: &[&Trial]) -> Table {
     let columns = "setting body under trials own own_low own_high carried carried_low carried_high kept kept_low \
         kept_high over note";
     Table::new(columns, rows)
-}
-
-fn tasks_table(trials: &[&Trial]) -> Table {
-    let trained: Vec<&Trial> = trials.iter().copied().filter(|trial| trial.has_steps()).collect();
-    tasks::table(&tasks::results(&trained))
 }
 
 fn paired_table(trials: &[&Trial]) -> Table {

@@ -54,6 +54,11 @@ pub fn trained_for(trial: &Trial) -> &str {
     trial.setting.text("brain.task").unwrap_or("forces")
 }
 
+/// The trials whose bodies were trained in steps, which the gain by training concerns.
+pub fn in_steps<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> Vec<&'a Trial> {
+    trials.into_iter().filter(|trial| trial.has_steps()).collect()
+}
+
 /// Results of all trials with estimates on both bodies.
 pub fn results(trials: &[&Trial]) -> Vec<TaskResult> {
     let estimated: Vec<&Trial> = trials.iter().copied().filter(|trial| !trial.tasks.is_empty()).collect();

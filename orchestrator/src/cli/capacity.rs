@@ -4,9 +4,10 @@ use metasense_lab::capacity::{Measure, capacity, hold};
 use serde_json::Value;
 
 use super::named::Finished;
-use super::tasks::{HEAD, head, trained_with};
+use super::tasks::{HEAD, head};
 use super::{Error, Format, cores, print_rows};
 use crate::analysis::capacity::{CapacityResult, table};
+use crate::analysis::kinds::trained_with;
 use crate::analysis::tasks::trained_for;
 use crate::analysis::{Body, Trial};
 use crate::exit::Exit;
@@ -61,7 +62,7 @@ fn of_trial(
         bodies.push(found);
     }
     all.extend(bodies[0].iter().zip(&bodies[1]).map(|(initial, trained)| CapacityResult {
-        setting: format!("K = {}, M = {}, {}", trial.panels, trial.sensors, trained_with(trial)),
+        setting: format!("K = {}, M = {}, {}", trial.panels, trial.sensors, trained_with(&trial.setting)),
         cluster: trial.cluster,
         trained_for: trained_for(trial).to_owned(),
         measure: initial.name,

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::named::Finished;
 use super::{Error, Format, cores, print_rows};
-use crate::analysis::kinds::brains;
+use crate::analysis::kinds::trained_with;
 use crate::analysis::tasks::{matrix, results, table, trained_for};
 use crate::analysis::{Body, Cluster, Trial};
 use crate::exit::Exit;
@@ -77,16 +77,10 @@ fn estimate(stored: &StoredTrial, trial: &mut Trial) -> Result<(), Error> {
 /// First columns of rows about a body.
 pub(super) const HEAD: &str = "hash panels sensors placement seed trained_with trained_for body";
 
-/// The decoder with which the body of a trial was trained.
-pub(super) fn trained_with(trial: &Trial) -> String {
-    let [_, with] = brains(&trial.setting);
-    with.replace(&format!(" for {}", trained_for(trial)), "")
-}
-
 /// Values of the first columns.
 pub(super) fn head(trial: &Trial, body: &str) -> Vec<Value> {
     let Cluster { placement, seed } = trial.cluster;
-    let (with, trained_for) = (trained_with(trial), trained_for(trial));
+    let (with, trained_for) = (trained_with(&trial.setting), trained_for(trial));
     row![trial.hash, trial.panels, trial.sensors, placement, seed, with, trained_for, body]
 }
 

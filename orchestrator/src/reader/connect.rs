@@ -35,7 +35,7 @@ fn reading(path: &Path, rows: Option<usize>) -> SqliteConnectOptions {
     options(path).read_only(true).row_buffer_size(rows.unwrap_or(ROWS))
 }
 
-/// Connects to a database. The connection is limited to [`Allowed::Reading`]. `rows`: number of rows to buffer.
+/// Connects to a database. The connection is limited to [`AccessLevel::Reading`]. `rows`: number of rows to buffer.
 pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connected, StoreError> {
     let at = |source| StoreError::sql(path, OPENING, source);
     let mut found = open(path, rows).await?;

@@ -8,7 +8,7 @@ use super::casts::{CLASSES, MOST_SETTINGS, aside, distinct_names};
 use super::words::left_out;
 use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::paired::Ratio;
-use crate::analysis::tasks::{TaskResult, ratio, results, trained_for};
+use crate::analysis::tasks::{TaskResult, in_steps, ratio, results, trained_for};
 use crate::analysis::{Body, Question, Terms, Trial};
 use crate::look::grid::{Cell, grid};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
@@ -111,7 +111,7 @@ fn told(training: &str, found: &Ratio) -> String {
 
 /// Gain per task and training, transfer matrix, confusion of classes, mean error of positions.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
-    let refs: Vec<&Trial> = trials.iter().filter(|trial| trial.has_steps()).collect();
+    let refs = in_steps(trials);
     let all = results(&refs);
     let found = settings(&all);
     let names: Vec<&str> = distinct_names(found.iter().flat_map(|setting| setting.trainings.iter().copied()))
@@ -226,8 +226,7 @@ fn positions(label: &str, bodies: [(Body, Vec<&TaskReading>); 2]) -> Picture {
 
 /// Per setting, the gain of each task by the first two trainings; the matrix has all.
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
-    let refs: Vec<&Trial> = trials.iter().filter(|trial| trial.has_steps()).collect();
-    let all = results(&refs);
+    let all = results(&in_steps(trials));
     let mut said = Vec::new();
     for setting in settings(&all) {
         for training in setting.trainings.iter().take(2) {

@@ -12,6 +12,7 @@ use sqlx::{ConnectOptions, Connection};
 
 use crate::exit::chain;
 use crate::files;
+use crate::reader;
 use crate::store::{self, StoreError};
 
 /// An input that can be attached.
@@ -74,7 +75,7 @@ impl Input {
             snapshot(&file, copy, false, || true).await?;
             (path, state) = (copy.to_owned(), None);
         } else if store::has_journal(&file) {
-            match crate::reader::copy_with_journal(&file, copy) {
+            match reader::copy_with_journal(&file, copy) {
                 // a run has started since
                 Err(StoreError::InUse(..)) => return Err(InputError::Changed),
                 copied => copied?,
@@ -83,7 +84,7 @@ impl Input {
             (path, state) = (copy.to_owned(), None);
         }
         let version =
-            crate::reader::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
+            reader::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
         let version = version.map_err(|source| StoreError::sql(&file, "opening", source)).and_then(|v| v)?;
         if version == 0 {
             if path != copy {
@@ -116,7 +117,7 @@ impl Input {
 
 /// Current state of a file.
 fn state_of(file: &File) -> io::Result<String> {
-    file.metadata().map(|m| crate::reader::state_of(&m))
+    file.metadata().map(|m| reader::state_of(&m))
 }
 
 /// Whether a file (real path) has the given state and no log.

@@ -20,6 +20,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use crate::files;
 use crate::leftovers;
+use crate::reader;
 use crate::store::{self, StoreError};
 pub use compare::{Finding, Kind};
 pub use contains::contains;
@@ -194,7 +195,7 @@ async fn merge_in(
         }
     }
     if summary.known > 0 && inputs.iter().all(|input| input.file == out) {
-        let asked = crate::reader::ask_unchanging(out, async |db| {
+        let asked = reader::ask_unchanging(out, async |db| {
             Ok((copy::trials(db).await?, compare::missing_shards(db).await?))
         });
         (summary.trials, summary.missing) =
@@ -266,8 +267,7 @@ async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> 
 /// Checks that the existing result can be merged with, after moving the log of a killed run into it.
 async fn check_result(out: &Path) -> Result<(), StoreError> {
     input::checkpoint_log(out, false).await?;
-    let version =
-        crate::reader::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
+    let version = reader::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
     version.map_err(|source| StoreError::sql(out, "reading", source))?.map(|_| ())
 }
 
@@ -359,7 +359,7 @@ type SourceStates = HashMap<PathBuf, String>;
 /// The extents of a result, as in [`copy::extents`], and its files.
 async fn read_sources(out: &Path) -> sqlx::Result<([bool; 2], SourceStates)> {
     let sql = "SELECT file, state FROM source WHERE state IS NOT NULL";
-    crate::reader::ask_unchanging(out, async |db| {
+    reader::ask_unchanging(out, async |db| {
         if store::version(db).await? == 0 {
             return Ok(([false, out.metadata()?.len() > 0], SourceStates::new()));
         }

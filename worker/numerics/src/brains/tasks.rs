@@ -76,6 +76,12 @@ fn classes(labels: &Labels) -> Vec<f64> {
     classes
 }
 
+/// The class with the greatest output.
+fn greatest(classes: &[f64], outputs: &[f64]) -> f64 {
+    let best = (0..outputs.len()).max_by(|&a, &b| outputs[a].total_cmp(&outputs[b]));
+    classes[best.expect("there is a class")]
+}
+
 /// Computes labels from forces and parts of a mixture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Labeller {
@@ -203,12 +209,12 @@ impl Readout {
     pub fn estimates(&self, signals: &[f64]) -> Vec<Labels> {
         let estimate = |fit: &TaskFit| {
             let outputs = self.basis.predict(&fit.outputs, signals);
-            let greatest = |outputs: Vec<f64>| {
-                let best = (0..outputs.len()).max_by(|&a, &b| outputs[a].total_cmp(&outputs[b]));
-                vec![fit.classes[best.expect("there is a class")]]
-            };
             let rows = outputs.row_iter().map(|row| row.iter().copied().collect());
-            if fit.task.is_class() { rows.map(greatest).collect() } else { rows.collect() }
+            if fit.task.is_class() {
+                rows.map(|own: Vec<f64>| vec![greatest(&fit.classes, &own)]).collect()
+            } else {
+                rows.collect()
+            }
         };
         self.fits.iter().map(estimate).collect()
     }
@@ -256,10 +262,9 @@ struct Labelled {
 impl Labelled {
     /// Of these samples, which have these parts of the mixture.
     fn of(trial: &Trial, samples: &Samples, parts: &[usize]) -> Self {
+        let used = samples.with_force();
         let len = samples.sizes.instants * samples.sizes.outputs;
         let forces = |i: usize| &samples.targets[i * len..][..len];
-        let is_used = |i: &usize| !samples.failed[*i] && forces(*i).iter().any(|f| *f != 0.0);
-        let used: Vec<usize> = (0..samples.count()).filter(is_used).collect();
         let signals = trial.scales.inputs(&pick(&samples.signals, samples.count(), &used));
         let labeller = trial.problem.labeller();
         let label = |task: Task, i: usize| labeller.label(task, forces(i), parts[i]);

@@ -39,6 +39,13 @@ impl Samples {
         self.failed.iter().filter(|failed| **failed).count() as u64
     }
 
+    /// The samples with a force that did not fail.
+    pub fn with_force(&self) -> Vec<usize> {
+        let one = self.sizes.instants * self.sizes.outputs;
+        let has_force = |i: &usize| self.targets[i * one..][..one].iter().any(|f| *f != 0.0);
+        (0..self.count()).filter(|i| !self.failed[*i] && has_force(i)).collect()
+    }
+
     /// Number of samples without force, including failed ones.
     pub fn without_force(&self) -> u32 {
         let one = self.sizes.instants * self.sizes.outputs;

@@ -55,14 +55,10 @@ struct Observations<'a> {
 /// # Errors
 /// If training or held-out samples with force are too few, or the linear decoder has no solution.
 pub(crate) fn task_estimates(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<TaskEstimate>, Trouble> {
-    let Sizes { instants, channels, outputs } = sets[0].sizes;
-    let has_force = |set: &Samples, i: &usize| {
-        let len = instants * outputs;
-        !set.failed[*i] && set.targets[i * len..][..len].iter().any(|f| *f != 0.0)
-    };
+    let Sizes { instants, channels, .. } = sets[0].sizes;
     let [train, _, holdout] = trial.problem.parts();
     let used = [(&sets[0], train), (&sets[2], holdout)].map(|(set, parts)| {
-        let used: Vec<usize> = (0..set.count()).filter(|i| has_force(set, i)).collect();
+        let used = set.with_force();
         (set.select(&used), pick(&parts, parts.len(), &used))
     });
     if used.iter().any(|(set, _)| set.count() < RECORDS_MIN) {
@@ -98,8 +94,7 @@ fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
     let direct = Readout::new(signals[0], &known).estimates(signals[1]);
     for ((task, known), direct) in known.into_iter().zip(direct) {
         let [truth, decoded] = [forces[1], decoded].map(|forces| labels(task, forces, parts[1]));
-        let trivial = vec![trivial(task, &known); truth.len()];
-        let trivial = Score::of(task, &truth, &trivial).error;
+        let trivial = error_of(task, &truth, &vec![trivial(task, &known); truth.len()]);
         // forces do not determine the part that generated them
         let decoded = (task != Task::Kind).then_some(("decoded", decoded));
         for (readout, estimated) in std::iter::once(("direct", direct)).chain(decoded) {
@@ -177,7 +172,7 @@ impl Observations<'_> {
 }
 
 /// Error of estimated labels in the task's unit.
-pub(super) fn error(task: Task, truth: &Labels, estimated: &Labels) -> f64 {
+pub(super) fn error_of(task: Task, truth: &Labels, estimated: &Labels) -> f64 {
     Score::of(task, truth, estimated).error
 }
 

@@ -1,7 +1,7 @@
 //! Readouts of the trial's tasks as weights of the signals, for a device.
 
-use super::estimates::error;
-use super::{Labelled, Labels, Readout, Task};
+use super::estimates::error_of;
+use super::{Labelled, Labels, Readout, Task, greatest};
 use crate::trial::{Samples, Trial, Trouble, pick};
 
 /// A readout as weights of the signals: output = constant + Σ weight · signal / scale.
@@ -21,16 +21,13 @@ impl ReadoutWeights {
         match self.classes[..] {
             [] => outputs.to_vec(),
             [first, second] => vec![if outputs[0] > 0.0 { first } else { second }],
-            _ => {
-                let best = (0..outputs.len()).max_by(|&a, &b| outputs[a].total_cmp(&outputs[b]));
-                vec![self.classes[best.expect("there is a class")]]
-            }
+            _ => vec![greatest(&self.classes, outputs)],
         }
     }
 
     /// Held-out error in the task's unit of estimated labels.
     pub fn error(&self, truth: &Labels, estimated: &Labels) -> f64 {
-        error(self.task, truth, estimated)
+        error_of(self.task, truth, estimated)
     }
 }
 
