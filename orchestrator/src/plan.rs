@@ -104,7 +104,6 @@ impl Plan {
     }
 
     /// Path of the database by default.
-    #[must_use]
     pub fn default_database(&self) -> PathBuf {
         Path::new("results").join(format!("{}.sqlite", self.spec.name))
     }

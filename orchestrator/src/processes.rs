@@ -20,7 +20,6 @@ pub struct WorkerProcess {
 }
 
 /// The worker processes of a run, sorted by worker.
-#[must_use]
 pub fn workers_of(orchestrator: u32) -> Vec<WorkerProcess> {
     let mut workers: Vec<WorkerProcess> =
         children(orchestrator).into_iter().filter_map(read_process).collect();
@@ -29,7 +28,6 @@ pub fn workers_of(orchestrator: u32) -> Vec<WorkerProcess> {
 }
 
 /// Process ids of the children of a process.
-#[must_use]
 pub fn children(parent: u32) -> Vec<u32> {
     let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
     let pids = entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
@@ -46,13 +44,11 @@ fn read_process(pid: u32) -> Option<WorkerProcess> {
 }
 
 /// CPU time of a process so far (s), in steps of 10 ms; `None` if it does not exist.
-#[must_use]
 pub fn cpu_seconds(pid: u32) -> Option<f64> {
     stat(pid).map(|stat| stat.ticks as f64 / 100.0)
 }
 
 /// Peak resident memory of a process (MiB); `None` if it does not exist.
-#[must_use]
 pub fn peak_mib(pid: u32) -> Option<f64> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -60,7 +56,6 @@ pub fn peak_mib(pid: u32) -> Option<f64> {
 }
 
 /// The kernel's state letter of a process; `None` if it does not exist.
-#[must_use]
 pub fn state(pid: u32) -> Option<char> {
     stat(pid).map(|stat| stat.state)
 }

@@ -13,7 +13,6 @@ pub const SCHEMA: &str = include_str!("../schema.sql");
 ///
 /// # Panics
 /// If there is no such view.
-#[must_use]
 pub fn view_sql(view: &str) -> &'static str {
     let start = SCHEMA.find(&format!("CREATE VIEW {view} AS")).expect("the schema creates the view");
     let end = SCHEMA[start..].find(';').expect("a statement ends");

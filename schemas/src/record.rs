@@ -45,7 +45,6 @@ pub struct Trial {
 
 impl Trial {
     /// Estimated seconds on one core of this machine; outer steps count only if the trial trains its body.
-    #[must_use]
     pub fn seconds(&self) -> f64 {
         self.cost.sum(self.trains)
     }
@@ -218,7 +217,6 @@ pub struct NetworkEvaluation {
 }
 
 /// Returns the mean of an error over the networks that have it.
-#[must_use]
 pub fn mean(
     networks: &[NetworkEvaluation],
     error: impl Fn(&NetworkEvaluation) -> Option<f64>,
@@ -228,7 +226,6 @@ pub fn mean(
 }
 
 /// Returns the largest number of samples above 100 % of any network; `None` if unknown.
-#[must_use]
 pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
     networks.iter().filter_map(|network| Some(network.spread?.above)).max()
 }
@@ -388,7 +385,6 @@ pub struct TaskReading {
 
 impl TaskReading {
     /// Whether both are of the same task and readout.
-    #[must_use]
     pub fn is_like(&self, other: &Self) -> bool {
         (&self.task, &self.readout) == (&other.task, &other.readout)
     }

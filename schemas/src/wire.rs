@@ -128,7 +128,6 @@ pub const INLINE_LIMIT: usize = 4096;
 const CHUNK: usize = 16 * 1024;
 
 /// Returns the size (bytes) of the file of a queue whose largest entry has `largest` bytes: chunks of one size after a header.
-#[must_use]
 pub fn segment(largest: usize) -> u64 {
     let chunks = MESSAGES.max(2 * ARRAYS) + 2;
     (largest.max(CHUNK).next_power_of_two() * chunks + 4096) as u64

@@ -37,7 +37,6 @@ const BY_SUBTYPE: &str = "afp beegfs blobfuse ceph curlftpfs cvmfs daos davfs df
 
 /// Name of a network file system, given `f_type` and, for FUSE, the type in the mount table (`fuse.sshfs`); `None` for a local
 /// one.
-#[must_use]
 pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
     if magic == FUSE {
         let program = mounted_as.strip_prefix("fuse.").unwrap_or(mounted_as);
@@ -47,7 +46,6 @@ pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
 }
 
 /// Name of the network file system that contains a folder. Counts as local if the system gives no answer.
-#[must_use]
 pub fn network_of(folder: &Path) -> Option<String> {
     let magic = statfs(folder).ok()?.f_type as u64 & 0xffff_ffff;
     let device = if magic == FUSE { folder.metadata().ok()?.dev() } else { 0 };

@@ -88,7 +88,6 @@ fn root(x: f64, n: i32) -> f64 {
 
 /// Seconds of a trial on one core of this machine, and its weight: milliseconds on the rated core, at least 1, the same on
 /// every machine.
-#[must_use]
 pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
     let whole = |seconds: f64| (seconds * 1e3).round().clamp(1.0, MOST_WEIGHT) as u64;
     let Parts { steps, comparison } = seconds(trial, units, RATED);
@@ -199,7 +198,6 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
 }
 
 /// Seconds of trials on some workers with some threads each: the work divided evenly, but at least that of the longest trial.
-#[must_use]
 pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
     let longest = trials.iter().map(|trial| trial.cost.sum(true)).fold(0.0, f64::max);
     (total(trials.iter().copied()) / f64::from(workers.max(1))).max(longest) / f64::from(threads.max(1))

@@ -354,7 +354,6 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
 
 /// Outer steps at which the partial trainings (rungs) of a trial end, just after an evaluation of the test set; `None` for
 /// rungs that short trainings lack.
-#[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
     let [first, second] = RUNGS.map(|part| evaluation_step_near(steps, part) + 1);

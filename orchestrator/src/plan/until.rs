@@ -66,7 +66,6 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
 impl Plan {
     /// Decides from the results in the database where the questions stand, and which trials are needed, in the order of the
     /// plan; `None` without [until].
-    #[must_use]
     pub fn decide(&self, found: &[TrialErrors], workers: u32) -> Option<(Decision, Vec<Trial>)> {
         let decision = until::of_plan(self.spec.until.as_ref()?, &self.trials, found, workers);
         let wanted = decision.wanted.iter().map(|&place| self.trials[place].clone()).collect();

@@ -124,7 +124,6 @@ impl Reader {
 impl TrialProgress {
     /// After `steps` outer steps: the best test error (%), or the last training error without any test; the inner `None`
     /// without both. The outer `None`: fewer steps are done.
-    #[must_use]
     pub fn after(&self, steps: u32) -> Option<Option<f64>> {
         let until: Vec<&StepErrors> = self.looks.iter().take_while(|look| look.step < steps).collect();
         let reached = until.last().is_some_and(|look| look.step + 1 == steps);
@@ -133,7 +132,6 @@ impl TrialProgress {
     }
 
     /// Error (%) of the body as designed, or the given quantile over its casts with a decoder; `None` if not stored.
-    #[must_use]
     pub fn error(&self, casts: Option<(&(String, u32), f64)>) -> Option<f64> {
         let Some((reader, quantile)) = casts else { return self.holdout };
         let mut errors = self.casts.get(reader)?.clone();

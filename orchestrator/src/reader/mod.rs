@@ -45,31 +45,26 @@ pub struct Row<'a>(&'a SqliteRow);
 
 impl Row<'_> {
     /// A text; empty if it is missing.
-    #[must_use]
     pub fn text(&self, column: &str) -> &str {
         std::str::from_utf8(self.bytes(column)).unwrap_or_default()
     }
 
     /// The bytes of a text or blob; empty if it is missing.
-    #[must_use]
     pub fn bytes(&self, column: &str) -> &[u8] {
         self.0.try_get_unchecked(column).unwrap_or_default()
     }
 
     /// A number; `None` if it is missing.
-    #[must_use]
     pub fn number(&self, column: &str) -> Option<f64> {
         self.0.try_get_unchecked::<Option<f64>, _>(column).unwrap_or_default()
     }
 
     /// A non-negative integer; 0 if it is missing.
-    #[must_use]
     pub fn count(&self, column: &str) -> u64 {
         self.0.try_get_unchecked(column).map_or(0, |n: i64| n.max(0) as u64)
     }
 
     /// All values; blobs are replaced by the text `blob of N bytes`.
-    #[must_use]
     pub fn values(&self) -> Vec<Value> {
         values(self.0)
     }
@@ -161,7 +156,6 @@ impl Reader {
     }
 
     /// Whether the file has not changed since it was opened without locks. Always true of files that are locked for reading.
-    #[must_use]
     pub fn is_current(&self) -> bool {
         let same = |was: &String| state(&self.path).is_ok_and(|now| now == *was) && !has_journal(&self.path);
         self.connected.unchanging.as_ref().is_none_or(same)
@@ -275,7 +269,6 @@ impl Reader {
     }
 
     /// Path of the database.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -370,7 +363,6 @@ impl Reader {
 }
 
 /// A text as an SQL literal. Databases from elsewhere may contain any hash.
-#[must_use]
 pub fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }

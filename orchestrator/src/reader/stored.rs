@@ -28,7 +28,6 @@ pub struct StoredTrial {
 
 impl StoredTrial {
     /// The settings that both bodies share, with the sensors of the initial one.
-    #[must_use]
     pub fn spec(&self) -> &TrialSpec {
         &self.specs[0]
     }

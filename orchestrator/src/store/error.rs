@@ -135,7 +135,6 @@ pub enum StoreError {
 
 impl StoreError {
     /// An SQLite error while `doing` something to a database.
-    #[must_use]
     pub fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
         let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
         match code.as_deref() {
@@ -153,13 +152,11 @@ impl StoreError {
     }
 
     /// Whether the file is damaged.
-    #[must_use]
     pub fn is_damage(&self) -> bool {
         matches!(self, Self::Sql { source, .. } if code(source) == Some(11))
     }
 
     /// Whether the user's input is wrong, rather than the disk, the state of the file or another process.
-    #[must_use]
     pub fn is_bad_input(&self) -> bool {
         match self {
             Self::Sql { doing, source, .. } => *doing == OPENING && !is_trouble(source),

@@ -117,7 +117,6 @@ impl Store {
     }
 
     /// Path of the database.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -128,7 +127,6 @@ impl Store {
     }
 
     /// A checker for the database files.
-    #[must_use]
     pub fn presence(&self) -> Presence {
         self.presence.clone()
     }

@@ -74,7 +74,6 @@ impl Presence {
     }
 
     /// What happened to the files; `None` if nothing did.
-    #[must_use]
     pub fn check(&self) -> Option<FileLoss> {
         let own = self.file.metadata().ok()?;
         for path in &self.paths {
@@ -97,13 +96,11 @@ impl Presence {
     }
 
     /// The path as given.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.paths[0]
     }
 
     /// Size of the log (bytes).
-    #[must_use]
     pub fn log_bytes(&self) -> u64 {
         sidecar(&self.paths[1], "-wal").metadata().map_or(0, |m| m.len())
     }

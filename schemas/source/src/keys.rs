@@ -21,7 +21,6 @@ pub struct KnownKeys {
 
 impl KnownKeys {
     /// Returns the keys of `SweepSpec`.
-    #[must_use]
     pub fn of_spec() -> Self {
         Self::of_type::<SweepSpec>()
     }
@@ -60,13 +59,11 @@ impl KnownKeys {
     }
 
     /// Whether a key may be an axis.
-    #[must_use]
     pub fn is_axis(&self, path: &str) -> bool {
         self.axes().any(|p| p == path)
     }
 
     /// Returns the key nearest to `path`, if it is near. A name in another table counts as one letter farther.
-    #[must_use]
     pub fn nearest_of<'a>(path: &str, among: impl Iterator<Item = &'a str>) -> Option<&'a str> {
         let split = |p: &'a str| p.rsplit_once('.').unwrap_or(("", p));
         let (table, name) = path.rsplit_once('.').unwrap_or(("", path));
@@ -86,7 +83,6 @@ impl KnownKeys {
     }
 
     /// Returns serde's message about a key; if it concerns the value, `must be` and the allowed values instead.
-    #[must_use]
     pub fn in_words(&self, key: &str, message: &str) -> String {
         const OF_THE_VALUE: [&str; 5] =
             ["invalid type", "invalid value", "invalid length", "data did not match", "unknown variant"];

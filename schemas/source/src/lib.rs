@@ -99,7 +99,6 @@ impl Source {
     }
 
     /// The file and its bases alone; `None` without overrides.
-    #[must_use]
     pub fn without_overrides(&self) -> Option<Self> {
         let first = self.layers.iter().position(|layer| !layer.is_override())?;
         let layers = self.layers[first..].to_vec();
@@ -107,7 +106,6 @@ impl Source {
     }
 
     /// The spec without a key of the file or its bases; `None` if they do not contain it or an override sets it.
-    #[must_use]
     pub fn without_key(&self, key: &str) -> Option<Self> {
         let place = self.places.iter().find(|place| place.key == key)?;
         if self.layers[place.layer].is_override() {
@@ -278,14 +276,12 @@ impl Source {
 
     /// Returns an error about a key: at the axis or point that sets it, else at the key, else at the table that would contain
     /// it.
-    #[must_use]
     pub fn error(&self, key: &str, remedy: &str) -> SpecError {
         self.error_with(key, None, remedy)
     }
 
     /// Like `error`, with the value at fault if it differs from that in the file, such as one element of a list. An empty value
     /// is not printed.
-    #[must_use]
     pub fn error_with(&self, key: &str, value: Option<&str>, remedy: &str) -> SpecError {
         let axis = format!("sweep.\"{key}\"");
         let exact = |wanted: &str| self.places.iter().find(|p| p.key == wanted);
@@ -408,7 +404,6 @@ fn no_axis(name: &str, known: &KnownKeys) -> String {
 }
 
 /// Returns the JSON schema of a spec.
-#[must_use]
 pub fn spec_schema() -> Value {
     schemars::schema_for!(SweepSpec).to_value()
 }

@@ -46,7 +46,6 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
 ];
 
 /// Returns the message for a key, or for its value as written, if it was removed.
-#[must_use]
 pub fn removed(key: &str, value: &str) -> Option<&'static str> {
     let is = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
     let has_value = |given: Option<&str>| given.is_none_or(|given| value.contains(&format!("\"{given}\"")));

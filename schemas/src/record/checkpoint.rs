@@ -102,7 +102,6 @@ pub struct Checkpoint {
 impl Checkpoint {
     /// Returns the checkpoint from which another trial with the same body resumes: without the comparison and, unless a network
     /// trains the body, without the weights, whose shape may differ.
-    #[must_use]
     pub fn of_body(mut self, by_network: bool) -> Self {
         (self.comparison, self.casts, self.bands) = (None, Vec::new(), Vec::new());
         if !by_network {
@@ -112,7 +111,6 @@ impl Checkpoint {
     }
 
     /// Returns a checkpoint after all outer steps, from the best design (mm) of a finished trial and its step.
-    #[must_use]
     pub fn after_training(steps: u32, design: Vec<f64>, best_step: u32) -> Self {
         let nothing = vec![0.0; design.len()];
         let design_moments = Moments { first: nothing.clone(), second: nothing, steps: steps.into() };
@@ -140,7 +138,6 @@ impl Checkpoint {
     ///
     /// # Panics
     /// Never: it is plain data.
-    #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         postcard::to_extend(self, vec![Self::VERSION]).expect("a checkpoint is plain data")
     }

@@ -37,7 +37,6 @@ pub enum Lattice {
 
 impl Lattice {
     /// Whether the initial angle belongs to the design (units counter-rotate) and not to the lattice.
-    #[must_use]
     pub fn turns(&self) -> bool {
         matches!(self, Self::Square | Self::Kagome)
     }
@@ -333,19 +332,16 @@ impl Body {
     pub const DAMPING_RATIO: f64 = 0.02;
 
     /// `columns`, or 0 if a file gives the units.
-    #[must_use]
     pub fn columns(&self) -> usize {
         self.columns.unwrap_or(0)
     }
 
     /// `rows`; default `columns`.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.rows.unwrap_or(self.columns())
     }
 
     /// The polygons of the body, if it is not a lattice.
-    #[must_use]
     pub fn polygons(&self) -> Option<&Polygons> {
         match &self.file {
             Some(Own::Given(given)) => Some(given),
@@ -354,7 +350,6 @@ impl Body {
     }
 
     /// `spacing` and `ligament_length` (mm); the plan sets them for a file.
-    #[must_use]
     pub fn lengths(&self) -> [f64; 2] {
         [self.spacing, self.ligament_length].map(|length| length.unwrap_or(f64::NAN))
     }
@@ -383,7 +378,6 @@ pub enum Rubber {
 
 impl Rubber {
     /// Nominal stress at 100 % strain (MPa) and density (Mg/mm³).
-    #[must_use]
     pub fn figures(self) -> (f64, f64) {
         const PSI: f64 = 6.894_757e-3;
         match self {

@@ -17,7 +17,6 @@ pub enum BodyKind {
 
 impl BodyKind {
     /// Whether metasense simulates the body.
-    #[must_use]
     pub fn is_polygons(&self) -> bool {
         *self == Self::Polygons
     }

@@ -62,13 +62,11 @@ pub enum Task {
 
 impl Task {
     /// Whether the decoder estimates force histories.
-    #[must_use]
     pub fn is_forces(&self) -> bool {
         *self == Self::Forces
     }
 
     /// Its name in specs and the database.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Forces => "forces",
@@ -166,7 +164,6 @@ pub struct Network {
 
 impl Brain {
     /// Returns the shape of the network, not validated.
-    #[must_use]
     pub fn network(&self) -> Network {
         let (width, kernels, dilations) = match self.preset {
             None | Some(Preset::Paper) => (64, &[3, 3, 1][..], &[1, 1, 1][..]),
@@ -182,7 +179,6 @@ impl Brain {
     }
 
     /// Replaces the preset by its values, and removes values that equal the defaults.
-    #[must_use]
     pub fn resolved(self) -> Self {
         let Network { width, kernels, dilations, causal } = self.network();
         let ones = dilations.len() == kernels.len() && dilations.iter().all(|&d| d == 1);
@@ -271,7 +267,6 @@ pub struct Tail {
 
 impl Objective {
     /// Fraction of the casts, the worst ones, whose mean is minimised; 0: the worst cast. `None`: the design, without casts.
-    #[must_use]
     pub fn tail(self) -> Option<f64> {
         match self {
             Self::Named(ObjectiveName::Nominal) => None,
@@ -361,7 +356,6 @@ impl Optimise {
     pub const TASK_BATCH: usize = 128;
 
     /// Fills in the defaults of the protocol. Keys that the protocol does not use stay as they are.
-    #[must_use]
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Random if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
@@ -398,13 +392,11 @@ impl Optimise {
     }
 
     /// Whether the body is trained with a linear decoder; valid for a resolved trial.
-    #[must_use]
     pub fn linear(&self) -> bool {
         self.brain == Some(BrainKind::Linear)
     }
 
     /// Number of outer steps.
-    #[must_use]
     pub fn steps(&self) -> usize {
         self.clone().resolved().iterations.unwrap_or_default()
     }
@@ -459,7 +451,6 @@ const CASTS: usize = 24;
 
 impl Evaluation {
     /// Fills in the defaults for a trial whose decoder is a network. `varied`: the spec has a variation.
-    #[must_use]
     pub fn resolved(self, varied: bool, stimuli: &Stimuli) -> Self {
         let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
         let under =
@@ -469,7 +460,6 @@ impl Evaluation {
     }
 
     /// Reduces the settings to those of a linear decoder, which is fitted once.
-    #[must_use]
     pub fn of_linear(self) -> Self {
         Self {
             seeds: Some(1),
@@ -483,7 +473,6 @@ impl Evaluation {
     }
 
     /// Number of fresh networks per body.
-    #[must_use]
     pub fn networks(&self) -> usize {
         self.seeds.unwrap_or(NETWORKS)
     }

@@ -34,13 +34,11 @@ impl Channel {
     pub const ALL: [Self; 3] = [Self::Ax, Self::Ay, Self::Omega];
 
     /// Its name in a spec.
-    #[must_use]
     pub fn name(self) -> &'static str {
         ["ax", "ay", "omega"][self as usize]
     }
 
     /// Its symbol in MODEL.md.
-    #[must_use]
     pub fn symbol(self) -> &'static str {
         ["a_x", "a_y", "ω"][self as usize]
     }
@@ -140,13 +138,11 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 impl Sensors {
     /// Signals that each sensor measures.
-    #[must_use]
     pub fn read(&self) -> &[Channel] {
         self.channels.as_deref().unwrap_or(&Channel::ALL)
     }
 
     /// Replaces the chip's name by its data and sorts the channels; `channels` becomes `None` if it lists all.
-    #[must_use]
     pub fn resolved(mut self) -> Self {
         if let Some(Part::Wt9011dcl) = self.chip.take() {
             let (mass, [width, height]) = (9e-6, [23.5, 32.5]);

@@ -25,7 +25,6 @@ pub enum StimuliKind {
 
 impl StimuliKind {
     /// Name in a spec.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Bell => "bell",
@@ -90,7 +89,6 @@ pub struct Part {
 
 impl Part {
     /// Returns stimuli of this kind alone, with the samples and records of `whole`.
-    #[must_use]
     pub fn alone(&self, whole: &Stimuli) -> Stimuli {
         let Self { kind, amplitude, width, onset, peak, power, offset, angle, .. } = *self;
         let Self { roughness, double, gap, rebound, silent, anywhere, .. } = *self;
@@ -100,7 +98,6 @@ impl Part {
     }
 
     /// Fills in the defaults of the kind.
-    #[must_use]
     pub fn resolved(&self, whole: &Stimuli) -> Self {
         let own = self.alone(whole).resolved();
         let Stimuli { amplitude, width, onset, peak, power, offset, angle, .. } = own;
@@ -194,7 +191,6 @@ pub struct Stimuli {
 
 impl Stimuli {
     /// Fills in the defaults of the kind.
-    #[must_use]
     pub fn resolved(mut self) -> Self {
         let some = |deviation: &f64| *deviation != 0.0;
         (self.offset, self.angle) = (self.offset.filter(some), self.angle.filter(some));
@@ -269,7 +265,6 @@ pub enum TimeUnit {
 
 impl TimeUnit {
     /// The unit in seconds.
-    #[must_use]
     pub fn seconds(self) -> f64 {
         match self {
             Self::Second => 1.0,
@@ -296,7 +291,6 @@ pub enum ForceUnit {
 
 impl ForceUnit {
     /// The unit in newtons.
-    #[must_use]
     pub fn newtons(self) -> f64 {
         match self {
             Self::Newton => 1.0,

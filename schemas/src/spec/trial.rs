@@ -58,7 +58,6 @@ pub struct TrialSpec {
 
 impl TrialSpec {
     /// Number of signals that a decoder uses.
-    #[must_use]
     pub fn signals(&self) -> usize {
         self.sensors.read().len() * self.point.sensors
     }
@@ -68,7 +67,6 @@ impl TrialSpec {
     /// A new key of the spec must be omitted from the JSON at its default (`skip_serializing_if`), so that trials of older
     /// databases keep their names. The hash covers the digest of recorded stimuli, not their paths, and the stiffnesses and
     /// density of a material, not the material; of an external body its description, whose digest covers the source.
-    #[must_use]
     pub fn hash(&self) -> String {
         let mut value = serde_json::to_value(self).expect("a trial is JSON");
         if let Some(recorded) = value.pointer_mut("/stimuli/recorded").and_then(|r| r.as_object_mut()) {
@@ -84,13 +82,11 @@ impl TrialSpec {
 
     /// Returns a hash (32 hex digits) of the settings that determine the training of the body. Trials that share it train
     /// bit-identical bodies, whatever decodes them in the final comparison.
-    #[must_use]
     pub fn training(&self) -> String {
         Training::of(self).at(self)
     }
 
     /// Returns a hash (32 hex digits) of a body of this trial with this design and its sensors.
-    #[must_use]
     pub fn body_digest(&self, design: &[f64]) -> String {
         let body = Body { material: None, command: Vec::new(), time_limit: None, ..self.body.clone() };
         digest(serde_json::json!([body, self.sensor_units, design]))
@@ -103,7 +99,6 @@ pub struct Training(String);
 
 impl Training {
     /// Computes this part for all trials that differ from `trial` in placement and seed at most.
-    #[must_use]
     pub fn of(trial: &TrialSpec) -> Self {
         let point = Point { placement: 0, seed: 0, ..trial.point };
         let mut spec =
@@ -121,7 +116,6 @@ impl Training {
     }
 
     /// Returns [`TrialSpec::training`] of one of these trials.
-    #[must_use]
     pub fn at(&self, trial: &TrialSpec) -> String {
         let Point { placement, seed, .. } = trial.point;
         let text = format!("{} {placement} {seed} {:?}", self.0, trial.sensor_units);
@@ -140,7 +134,6 @@ fn digest_of_text(text: &str) -> String {
 }
 
 /// Returns the leaves of a JSON object by path.
-#[must_use]
 pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
     fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
         match value {

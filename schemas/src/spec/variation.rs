@@ -96,7 +96,6 @@ impl From<OfUnits> for [f64; 2] {
 
 impl<Parts: Copy + Into<[f64; 2]>> Scatter<Parts> {
     /// Standard deviations of the common factor and of the factor per ligament or unit.
-    #[must_use]
     pub fn parts(self) -> [f64; 2] {
         match self {
             Self::Common(common) => [common, 0.0],
@@ -155,7 +154,6 @@ pub struct VariationFile {
 
 impl Variation {
     /// Removes deviations of 0; `None` if none is left.
-    #[must_use]
     pub fn resolved(self) -> Option<Self> {
         let some = |deviation: Option<f64>| deviation.filter(|deviation| *deviation != 0.0);
         let found = Self {

@@ -21,7 +21,6 @@ mod keys;
 pub use keys::{AccelerationUnit, AngularVelocityUnit, Start};
 
 /// Returns the JSON schema of a file of measured records.
-#[must_use]
 pub fn measured_schema() -> serde_json::Value {
     schemars::schema_for!(keys::Measured).to_value()
 }

@@ -67,7 +67,6 @@ pub enum Start {
 
 impl Start {
     /// Returns the time of one record.
-    #[must_use]
     pub fn time_of(&self, record: usize) -> f64 {
         match self {
             Self::All(start) => *start,
@@ -93,7 +92,6 @@ pub enum AccelerationUnit {
 
 impl AccelerationUnit {
     /// The unit in mm/s².
-    #[must_use]
     pub fn factor(self) -> f64 {
         match self {
             Self::Millimetre => 1.0,
@@ -118,7 +116,6 @@ pub enum AngularVelocityUnit {
 
 impl AngularVelocityUnit {
     /// The unit in rad/s.
-    #[must_use]
     pub fn factor(self) -> f64 {
         match self {
             Self::Radian => 1.0,
