@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 use super::Task;
 
 /// A requirement on body, sensors and decoder together. `metasense design` searches the lists of the sweep for the cheapest
 /// design that meets it; `metasense run` ignores it.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
@@ -16,35 +18,26 @@ pub struct Goal {
     pub error: f64,
     /// Largest error of each sensing task, by the better of its two readouts, such as `{ panel = 5.0, position = 5.0 }`. Needs
     /// `evaluation.tasks = true`. Unit: that of the task (`metasense body tasks --help`). Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tasks: Option<BTreeMap<Task, f64>>,
     /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: none: the error of
     /// the body as designed counts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantile: Option<f64>,
     /// Decoder of the casts: `"design"`, fitted to the design; `"casts"`, fitted to other casts; `{ records = 10 }`, calibrated
     /// on this number of samples of each cast (10, 30, 100). Default: `"casts"`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reader: Option<GoalReader>,
     /// Longest delay between a force and its estimate, that is, the look-ahead of the decoder. Unit: s. Default: no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
     /// Largest memory of the decoder on a device (constants and working memory), as written by `metasense export --format c`.
     /// Unit: kB. Default: no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<f64>,
     /// Largest number of multiply-adds of the decoder per reading. Unit: 1. Default: no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operations: Option<u64>,
     /// Largest mass of the initial body including its chips. Unit: g. Default: no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mass: Option<f64>,
     /// Longest side of the bounding box of the initial body. Unit: mm. Default: no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<f64>,
     /// Prices of a design. Default: the design with fewer sensors is cheaper; at equal numbers, the one with fewer
     /// multiply-adds per reading, then with fewer units.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<Cost>,
     /// Probability that the chosen design meets the requirement on a further seed. At most 1 − `confidence` of searches choose a
     /// design that misses it. Unit: 1. Default: 0.9.
@@ -59,7 +52,6 @@ pub struct Goal {
     #[serde(default = "at_a_time")]
     pub at_a_time: usize,
     /// CPU time of all trials; beyond it no further trial starts. Unit: h. Default: no limit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hours: Option<f64>,
 }
 

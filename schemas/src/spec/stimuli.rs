@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_with::skip_serializing_none;
 
 use super::{Decimal, Separator};
 
@@ -38,52 +39,40 @@ impl StimuliKind {
 
 /// A kind of forces in `stimuli.mix` or `evaluation.under`, with the keys of that kind as in `[stimuli]`; `"recorded"` uses
 /// `stimuli.recorded`.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
     /// Probability of this kind in a mixture; the probabilities of all parts sum to 1. Unit: 1. Default: must be given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
     /// Kind of forces: `"bell"`, `"gauss"`, `"irregular"` or `"recorded"`.
     pub kind: StimuliKind,
     /// As `stimuli.amplitude`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub amplitude: Option<[f64; 2]>,
     /// As `stimuli.width`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<[f64; 2]>,
     /// As `stimuli.onset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub onset: Option<[f64; 2]>,
     /// As `stimuli.peak`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub peak: Option<[f64; 2]>,
     /// As `stimuli.power`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<[f64; 2]>,
     /// As `stimuli.roughness`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness: Option<[f64; 2]>,
     /// As `stimuli.double`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub double: Option<f64>,
     /// As `stimuli.gap`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gap: Option<[f64; 2]>,
     /// As `stimuli.rebound`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
     /// As `stimuli.silent`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub silent: Option<f64>,
     /// As `stimuli.anywhere`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub anywhere: bool,
     /// As `stimuli.offset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<f64>,
     /// As `stimuli.angle`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub angle: Option<f64>,
 }
 
@@ -110,6 +99,7 @@ impl Part {
 
 /// The force histories. Intervals `[least, most]` are those of a uniform draw per sample and panel. Omitted keys have the
 /// default of the kind.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stimuli {
@@ -132,38 +122,28 @@ pub struct Stimuli {
     /// Amplitude of a pulse: an interval `[least, most]` of a uniform draw per sample and panel; negative forces act against the
     /// panel's direction. Unit: N. Default: `[0.15, 0.5]`;
     /// gauss `[0.1, 0.5]`; irregular `[0.3, 1.0]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub amplitude: Option<[f64; 2]>,
     /// Width of a pulse, an interval; σ of a Gaussian pulse. Unit: s. Default: `[0.06, 0.25]`; gauss `[0.01, 0.04]`; irregular
     /// `[0.02, 0.08]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<[f64; 2]>,
     /// Onset of a pulse, an interval; time of the peak of a Gaussian pulse. Unit: s. Default: `[0.0, 0.5]`; gauss `[0.12, 0.4]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub onset: Option<[f64; 2]>,
     /// Position of the peak as a fraction of the width, an interval. Unit: 1. Default: `[0.35, 0.65]`; irregular
     /// `[0.2, 0.45]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub peak: Option<[f64; 2]>,
     /// Sharpness of a pulse (a power of its sine), an interval. Unit: 1. Default: `[1.5, 4.0]`; irregular `[1.0, 2.0]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<[f64; 2]>,
     /// RMS of the rough part of a blow relative to its smooth part, an interval; irregular only. Unit: 1. Default:
     /// `[0.1, 0.35]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness: Option<[f64; 2]>,
     /// Probability that the hammer hits twice; irregular only. Unit: 1. Default: 0.25.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub double: Option<f64>,
     /// Time from the end of the first hit to the second, an interval; irregular only. Unit: s. Default: `[0.01, 0.05]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gap: Option<[f64; 2]>,
     /// Amplitude of the second hit relative to the first, an interval; irregular only. Unit: 1. Default: `[0.2, 0.7]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
     /// Probability that a panel has no force in a sample; samples without any force are redrawn. Bell and gauss only. Unit: 1.
     /// Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub silent: Option<f64>,
     /// Whether each sample has a single blow, at a random point of the line through the panels in their order: between a random
     /// pair of neighbours, uniform from one to the other. Its force is divided between the two in inverse proportion to the
@@ -172,20 +152,15 @@ pub struct Stimuli {
     pub anywhere: bool,
     /// Standard deviation of the distance by which blows miss a panel's centroid, across its direction; a normal draw per sample
     /// and panel. Such a blow rotates the unit. Unit: mm. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<f64>,
     /// Standard deviation of the angle by which blows deviate from a panel's direction. Unit: degrees. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub angle: Option<f64>,
     /// Instants per sample of the clock of the forces, a multiple of `time.samples`. Default: `time.samples`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_samples: Option<usize>,
     /// Files of force histories, for `kind = "recorded"`. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub recorded: Option<Recorded>,
     /// Parts of the mixture, for `kind = "mix"`: tables `[[stimuli.mix]]` of `weight`, `kind` and keys of that kind. Default:
     /// none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub mix: Option<Vec<Part>>,
 }
 
@@ -312,6 +287,7 @@ pub enum Resample {
 }
 
 /// Detection of the beginning of a blow in a record.
+#[skip_serializing_none]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
@@ -319,7 +295,6 @@ pub struct Trigger {
     pub threshold: f64,
     /// Time of the beginning of the blow in the sample. Unit: s. Default: enough for the earliest `augment.shift` and for 12
     /// instants of `time.samples`, the reach of the low-pass; 0 for measured signals.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<f64>,
 }
 
@@ -340,29 +315,24 @@ impl Default for Augment {
 }
 
 /// Recorded histories: files, their contents and units.
+#[skip_serializing_none]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {
     /// CSV, NPY or NPZ files, relative to the spec. A record may not occur twice.
     pub files: Vec<PathBuf>,
     /// Clock of a file, as a column or array. Default: `rate` must be given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<Signal>,
     /// Entries per second, if a file has no clock; its first entry is at 0. Unit: 1/s. Default: `time` must be given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
     /// The force, or one force per panel, as columns or arrays. Default: all that an array of shape (samples, panels, entries)
     /// holds.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<Vec<Signal>>,
     /// Whether the first line of a CSV names its columns. Must be given if that line contains numbers. Default: yes.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub header: Option<bool>,
     /// What separates the fields of a CSV. Default: what divides all lines alike.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub separator: Option<Separator>,
     /// The decimal mark of a CSV. Default: the one that its numbers have.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decimal: Option<Decimal>,
     /// Unit of the clock.
     #[serde(default)]
@@ -377,20 +347,17 @@ pub struct Recorded {
     #[serde(default)]
     pub remove_offset: bool,
     /// Panel, counted from 0, of each record with one force. Default: drawn by seed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panels: Option<Vec<usize>>,
     /// How records are resampled to the clocks of the simulation and of the signals.
     #[serde(default)]
     pub resample: Resample,
     /// Aligns blows by the first force above a threshold. Default: none, the file's clock counts from the sample's beginning.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trigger: Option<Trigger>,
     /// Variation of a record for fresh samples, for `optimise.protocol = "joint"`.
     #[serde(default)]
     pub augment: Augment,
     /// BLAKE3 hash of the contents of the files. It is part of the trial's hash, the paths are not. If given, it must agree.
     /// Default: filled in.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
 }
 
