@@ -128,6 +128,7 @@ CREATE TABLE checkpoint (
   digest BLOB                         -- BLAKE3 of the bytes
 ) STRICT;
 
+-- an array of a trial as the bytes of an NPY file: designs, loss curves, weights
 CREATE VIEW v_artifact AS
 SELECT t.hash, a.name, a.shape, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id;
 
@@ -148,6 +149,8 @@ CREATE TABLE run (
   PRIMARY KEY (sweep_id, started_at, host, shard, shards)
 ) STRICT, WITHOUT ROWID;
 
+-- a point of the training of such a network: loss (normalised) and held-out error (%); thinned: complete losses are in
+-- v_artifact
 CREATE VIEW v_curve AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, c.body, c.network, c.iteration, c.loss,
   c.error_holdout
@@ -173,6 +176,7 @@ CREATE TABLE log (                     -- what was said of an attempt, as much a
   PRIMARY KEY (trial_id, attempt, line)
 ) STRICT, WITHOUT ROWID;
 
+-- a line of the log of an attempt: errors, and the standard error of its worker
 CREATE VIEW v_log AS
 SELECT t.hash, t.state, t.reason, t.panels, t.sensors, t.placement, t.seed, l.attempt, l.line, l.at, l.level, l.text
 FROM log l JOIN trial t ON t.id = l.trial_id;
@@ -226,12 +230,18 @@ SELECT a.trial_id, a.number AS attempt, a.redone,
                 FROM step p WHERE p.trial_id = a.trial_id AND p.attempt = a.number), 0)) AS REAL) AS seconds
 FROM attempt a JOIN trial t ON t.id = a.trial_id;
 
+-- best test error so far (%) against the CPU seconds of training the body, step by step, as if each trial had trained its body
+-- itself
 CREATE VIEW v_error_time AS
 SELECT hash, units, panels, sensors, placement, seed, protocol, step,
   CAST(sum(seconds) OVER w AS REAL) AS seconds, error_test, CAST(min(error_test) OVER w AS REAL) AS best_error_test
 FROM v_step
 WINDOW w AS (PARTITION BY hash ORDER BY step ROWS UNBOUNDED PRECEDING);
 
+-- a band around the estimated forces of the initial or the trained body, or of a cast of it (with the widths of the body as
+-- designed): the part of the held-out instants and panels (`instant`) or samples (`sample`) within the band, its level, and its
+-- mean width (N). `conformal`: calibrated on `samples` samples; `posterior`: that of an inverse decoder, over the samples that
+-- its model explains
 CREATE VIEW v_band AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
@@ -240,6 +250,7 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   b.outcome
 FROM band b JOIN trial t ON t.id = b.trial_id;
 
+-- a call of `run`: its shard and host, the estimated time (s), and what was done
 CREATE VIEW v_run AS
 SELECT s.name AS sweep, r.shard, r.shards, r.host, r.job, r.version, r.workers, r.threads, r.trials, r.done, r.failed,
   r.outcome, r.estimated_seconds,
@@ -247,6 +258,8 @@ SELECT s.name AS sweep, r.shard, r.shards, r.host, r.job, r.version, r.workers, 
   r.started_at, r.ended_at
 FROM run r JOIN sweep s ON s.id = r.sweep_id;
 
+-- an attempt at a trial: how it ended and why (stopped: by Ctrl-C; the trial can be resumed), wall-clock and CPU seconds, its
+-- code and host
 CREATE VIEW v_attempt AS
 SELECT t.hash, t.panels, t.sensors, t.placement, t.seed, a.number AS attempt, a.state, a.reason, a.steps, a.version,
   a.started_at, a.ended_at,
@@ -254,6 +267,10 @@ SELECT t.hash, t.panels, t.sensors, t.placement, t.seed, a.number AS attempt, a.
   a.code, a.revision, a.rustc, a.host, a.cpu, a.simd, a.threads, a.redone, s.seconds AS cpu_seconds
 FROM attempt a JOIN trial t ON t.id = a.trial_id JOIN spent s ON s.trial_id = a.trial_id AND s.attempt = a.number;
 
+-- a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds; holdout_median_…,
+-- holdout_p90_… and holdout_above_…: median and 90th percentile over held-out samples (%, mean over evaluation networks) and
+-- the number of samples above 100 % (of the network with the most); holdout_rms_…: 10 times the square root of the held-out
+-- error, which is a ratio of energies; trials with equal `training` share a body, which one of them has trained
 CREATE VIEW v_trial AS
 SELECT
   t.hash, CAST((SELECT s.name FROM sweep_trial x JOIN sweep s ON s.id = x.sweep_id
@@ -290,6 +307,8 @@ FROM trial t
 LEFT JOIN reading i ON i.trial_id = t.id AND i.body = 'initial' AND i.whole
 LEFT JOIN reading o ON o.trial_id = t.id AND o.body = 'optimised' AND o.whole;
 
+-- an outer step: losses, errors (%), gradient, projection, implicit term, work, CPU seconds by part, λ of the linear decoder
+-- (`ridge`); `attempt` is 0 if another trial that trains the same body computed the step
 CREATE VIEW v_step AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, p.step, p.attempt,
   p.loss_test, p.loss_train, p.error_test, p.error_train, p.gradient_norm, p.step_length,
@@ -303,12 +322,15 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, p.
   p.recorded_at, p.ridge
 FROM step p JOIN trial t ON t.id = p.trial_id;
 
+-- a new network on the initial or the trained body, with its errors (%) and their spread over the held-out set as in v_reading
 CREATE VIEW v_network AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, n.body, n.network,
   n.error_train, n.error_test, n.error_holdout, n.iterations, n.outcome,
   n.median AS median_holdout, n.p90 AS p90_holdout, n.above AS above_holdout, CAST(10 * sqrt(n.error_holdout) AS REAL) AS rms_holdout
 FROM network n JOIN trial t ON t.id = n.trial_id;
 
+-- errors (%) of a linear decoder of one memory (s before and after an instant) on the initial or the trained body, for any
+-- decoder of the trial; its λ (`ridge`); median, 90th percentile (%), samples above 100 % and RMS error (%) on the held-out set
 CREATE VIEW v_reading AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
@@ -319,6 +341,16 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   r.median AS median_holdout, r.p90 AS p90_holdout, r.above AS above_holdout, CAST(10 * sqrt(r.error_holdout) AS REAL) AS rms_holdout
 FROM reading r JOIN trial t ON t.id = r.trial_id;
 
+-- error (%) of one decoder on one cast of the initial or the trained body: `nominal` (linear, fitted to the body as designed),
+-- `casts` (linear, fitted to other casts), `records` (linear, calibrated on `records` samples of this cast), `network`,
+-- `network_casts` (trained on other casts), `inverse` (the model of the design, inverted), `twin` (a twin calibrated on
+-- `records` samples of this cast, inverted), `twin_linear` (linear, fitted to that twin); the error is over the whole held-out
+-- set, but for `inverse` and `twin` over its first 16 samples; `nominal_error` is the error of such a decoder on the body as
+-- designed: that of the trial's own decoder (mean over its networks) for networks, inverse decoders and linear trials, else
+-- that of the linear decoder of the whole sample; instants_covered and samples_covered: the part of the held-out set within the
+-- bands of the body as designed, or within the bands of an inverse decoder; median and 90th percentile (%) over held-out
+-- samples, samples above 100 %, RMS error (%); λ (`ridge`) of linear decoders, and κ (`kappa`) of linear decoders calibrated on
+-- samples of this cast
 CREATE VIEW v_cast AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
@@ -338,6 +370,11 @@ LEFT JOIN band i ON i.trial_id = c.trial_id AND i.body = c.body AND i.casting = 
 LEFT JOIN band s ON s.trial_id = c.trial_id AND s.body = c.body AND s.casting = c.casting AND s.reader = c.reader
   AND s.records = c.records AND s.kind = 'sample';
 
+-- error of a readout of a sensing task on the initial or the trained body (`evaluation.tasks`), in `unit`, with its 95 %
+-- interval over held-out samples: `direct`: fitted to the signals; `decoded`: from the forces that a linear decoder estimates;
+-- `trivial`: error of the best estimate without signals; `least`: resolution of the error; `score`: balanced accuracy (%) of
+-- classes, R² of values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm),
+-- samples]
 CREATE VIEW v_task AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
@@ -351,6 +388,9 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(r.value->'$.detail' AS TEXT) AS detail
 FROM trial t, json_each(t.result, '$.tasks') r;
 
+-- error (%) of a linear decoder on the initial or the trained body under one kind of forces (`evaluation.under`), for any
+-- training forces of the body: `own`: fitted under these forces; `carried`: fitted under those of the trial; a body that cannot
+-- be simulated counts as 100 %; median, p90, above and rms as in v_cast
 CREATE VIEW v_under AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,

@@ -81,7 +81,7 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
     let _ = state::never_begun(&[file.to_owned()], file).await;
     let _ = merge::merge(merge::Extent::Whole, &[file.to_owned()], &folder.join("merged.sqlite")).await;
     if let Ok(mut reader) = Reader::open(file).await {
-        for (view, _) in VIEWS {
+        for (view, _) in VIEWS.iter() {
             let _ = reader.query::<metasense::look::Table>(&format!("SELECT * FROM {view}")).await;
         }
         if let Ok(trials) = load::finished_trials(&mut reader).await {

@@ -127,12 +127,12 @@ pub fn views() -> String {
         Store::open(&file).await.unwrap().close().await.unwrap();
         let mut reader = Reader::open(&file).await.unwrap();
         let mut rows = Vec::new();
-        for (view, means) in VIEWS {
+        for (view, means) in VIEWS.iter() {
             let sql = format!("SELECT name FROM pragma_table_info('{view}')");
             let columns = reader.query::<metasense::look::Table>(&sql).await.unwrap();
             let columns: Vec<String> =
                 columns.rows.iter().map(|row| format!("`{}`", row[0].as_str().unwrap())).collect();
-            rows.push(vec![format!("`{view}`"), (*means).to_owned(), columns.join(", ")]);
+            rows.push(vec![format!("`{view}`"), means.clone(), columns.join(", ")]);
         }
         reader.close().await;
         rows

@@ -114,7 +114,7 @@ async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
         Format::Table => lines(text, most).join("\n"),
         _ => text.to_owned(),
     };
-    for (view, description) in VIEWS {
+    for (view, description) in VIEWS.iter() {
         let columns: Table = reader
             .query(&format!("SELECT group_concat(name, ', ') FROM pragma_table_info('{view}')"))
             .await?;

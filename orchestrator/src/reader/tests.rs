@@ -9,7 +9,7 @@ async fn every_column_of_a_view_has_a_type() {
     let db = folder.path().join("db.sqlite");
     Store::open(&db).await.unwrap().close().await.unwrap();
     let mut reader = Reader::open(&db).await.unwrap();
-    for (view, _) in VIEWS {
+    for (view, _) in VIEWS.iter() {
         let sql = format!("SELECT * FROM {view} WHERE 0");
         let (columns, types) = (reader.columns(&sql).await.unwrap(), reader.types(&sql).await);
         assert_eq!(columns.len(), types.len(), "{view}");

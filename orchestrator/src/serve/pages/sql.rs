@@ -186,7 +186,7 @@ async fn views(served: &ServerState, at: &str) -> Result<Markup, PageError> {
     let db = file_of(served, at).await?;
     let mut reader = Reader::confined(&db).await?;
     let mut columns = Vec::new();
-    for (view, _) in VIEWS {
+    for (view, _) in VIEWS.iter() {
         columns.push(reader.columns(&format!("SELECT * FROM {view}")).await?);
     }
     reader.close().await;
