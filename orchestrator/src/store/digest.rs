@@ -1,7 +1,7 @@
 //! BLAKE3 checksums of checkpoints and arrays, stored with the bytes and verified on every read. Rows without a checksum are
 //! not verified.
 
-use super::StoreError;
+use super::{Result, StoreError};
 
 /// The checksum of bytes.
 pub(super) fn digest(bytes: &[u8]) -> Vec<u8> {
@@ -9,10 +9,7 @@ pub(super) fn digest(bytes: &[u8]) -> Vec<u8> {
 }
 
 /// Verifies stored bytes of a trial. An empty checksum is not verified.
-///
-/// # Errors
-/// `Damaged` if they differ.
-pub(crate) fn check(hash: &str, what: &str, bytes: &[u8], checksum: &[u8]) -> Result<(), StoreError> {
+pub(crate) fn check(hash: &str, what: &str, bytes: &[u8], checksum: &[u8]) -> Result<()> {
     match checksum.is_empty() || checksum == blake3::hash(bytes).as_bytes() {
         true => Ok(()),
         false => Err(StoreError::Damaged(hash.to_owned(), what.to_owned())),

@@ -11,6 +11,9 @@ use super::presence::FileLoss;
 /// `doing` of errors before anything was started.
 pub(crate) const OPENING: &str = "opening";
 
+/// Result of an operation on a database.
+pub type Result<T, E = StoreError> = std::result::Result<T, E>;
+
 /// An error of the store.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -136,11 +139,15 @@ pub enum StoreError {
 impl StoreError {
     /// An SQLite error while `doing` something to a database.
     pub fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
-        let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
-        match code.as_deref() {
-            Some("26") => Self::NotOurs(path.to_owned()),
+        match code(&source) {
+            Some(26) => Self::NotOurs(path.to_owned()),
             _ => Self::Sql { path: path.to_owned(), doing, source },
         }
+    }
+
+    /// A stored value of a trial cannot be read.
+    pub(crate) fn unreadable(hash: &str, what: &'static str, message: String) -> Self {
+        Self::Unreadable { hash: hash.to_owned(), what, message }
     }
 
     /// Changes the failed operation to opening.
@@ -202,11 +209,8 @@ pub(crate) fn is_trouble(source: &sqlx::Error) -> bool {
 
 /// Whether the error is malformed JSON in a column.
 pub(crate) fn is_no_json(source: &sqlx::Error) -> bool {
-    source.as_database_error().is_some_and(|e| e.message() == NO_JSON)
+    source.as_database_error().is_some_and(|e| e.message() == "malformed JSON")
 }
-
-/// SQLite's message for malformed JSON.
-const NO_JSON: &str = "malformed JSON";
 
 /// Whether a file of the database could not be opened or written.
 pub(crate) fn is_not_opened(source: &sqlx::Error) -> bool {

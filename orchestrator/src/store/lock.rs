@@ -5,7 +5,7 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::StoreError;
+use super::{Result, StoreError};
 
 /// Attempts at a lock, and the pause between them: a reader that tidies up holds the lock for some milliseconds, a run for its
 /// whole duration.
@@ -33,7 +33,7 @@ pub(crate) fn has_journal(file: &Path) -> bool {
 ///
 /// # Errors
 /// `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not a regular file.
-pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
+pub(crate) fn lock(path: &Path, create: bool) -> Result<File> {
     let unwritable = |source| StoreError::Unwritable(path.to_owned(), source);
     for attempt in 0..ATTEMPTS {
         if attempt > 0 {

@@ -1,6 +1,6 @@
 //! The log lines of an attempt.
 
-use super::{Store, StoreError};
+use super::{Result, Store};
 
 /// Most lines per attempt; the last one says that more exist.
 pub const LINES: u32 = 100;
@@ -30,13 +30,7 @@ impl Level {
 
 impl Store {
     /// Stores a line of an attempt, limited in length and number; errors are always stored.
-    pub async fn log(
-        &mut self,
-        hash: &str,
-        attempt: u32,
-        level: Level,
-        text: &str,
-    ) -> Result<(), StoreError> {
+    pub async fn log(&mut self, hash: &str, attempt: u32, level: Level, text: &str) -> Result<()> {
         let id = self.id(hash)?;
         let text: String = match text.char_indices().nth(CHARACTERS) {
             Some((end, _)) => format!("{} …", &text[..end]),
@@ -48,7 +42,7 @@ impl Store {
                CASE WHEN n + 1 = ?5 AND ?3 <> 'error' THEN 'further lines are in the log file beside the database' ELSE ?4 END
              FROM (SELECT coalesce(max(line), 0) AS n FROM log WHERE trial_id = ?1 AND attempt = ?2)
              WHERE n < ?5 OR ?3 = 'error'"; id, attempt, level.name(), text, LINES)
-        .map(|_| ())
+        .map(drop)
         .map_err(self.at("recording what was said in"))
     }
 }

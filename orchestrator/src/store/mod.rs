@@ -44,8 +44,8 @@ use crate::{files, sql};
 
 pub(crate) use designs::NAME as KEPT_DESIGNS;
 pub(crate) use digest::check;
-pub use error::StoreError;
 pub(crate) use error::{OPENING, is_no_json, is_not_opened, is_shortage, is_trouble};
+pub use error::{Result, StoreError};
 pub(crate) use lock::{has_journal, is_still, lock, resolve_links, sidecar};
 pub use log::Level;
 pub use metasense_worker::files::{npy_bytes, npy_values};
@@ -79,11 +79,11 @@ impl Store {
     /// # Errors
     /// If the file is unwritable, not a metasense database, of another version, on a network file system, or used by another
     /// run.
-    pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+    pub async fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
     }
 
-    async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
+    async fn open_file(path: PathBuf) -> Result<Self> {
         let file = resolve_links(&path);
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder).map_err(|source| StoreError::Unwritable(path.clone(), source))?;
@@ -134,8 +134,8 @@ impl Store {
     /// Moves the write-ahead log into the database and closes it, so that a single file remains.
     ///
     /// # Errors
-    /// If SQLite fails; `FileLoss` if the files have disappeared, with the path of the saved data.
-    pub async fn close(self) -> Result<(), StoreError> {
+    /// `Lost` if the files have disappeared, with the path of the saved data.
+    pub async fn close(self) -> Result<()> {
         let Self { connection, path, presence, .. } = self;
         if let Some(lost) = presence.check() {
             return Err(presence::rescue(connection, &presence, lost).await);
@@ -153,30 +153,20 @@ pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
 }
 
 /// Version of a database, 0 for an empty file.
-pub(crate) async fn check_version(
-    connection: &mut SqliteConnection,
-    path: &Path,
-) -> Result<usize, StoreError> {
+pub(crate) async fn check_version(connection: &mut SqliteConnection, path: &Path) -> Result<usize> {
     let at = |source| StoreError::sql(path, "reading the version of", source);
-    let application: i32 =
-        sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await.map_err(at)?;
+    let id = sqlx::query_scalar("PRAGMA application_id");
+    let application: i32 = id.fetch_one(&mut *connection).await.map_err(at)?;
     let version = version(connection).await.map_err(at)?;
-    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema")
-        .fetch_one(&mut *connection)
-        .await
-        .map_err(at)?;
     // sqlx's thread dies on a name that is not UTF-8, and the caller would wait forever; therefore read names as blobs.
-    let schema: Vec<Vec<u8>> =
-        sqlx::query_scalar("SELECT CAST(name || coalesce(sql, '') AS BLOB) FROM sqlite_schema")
-            .fetch_all(&mut *connection)
-            .await
-            .map_err(at)?;
+    let names = sqlx::query_scalar("SELECT CAST(name || coalesce(sql, '') AS BLOB) FROM sqlite_schema");
+    let schema: Vec<Vec<u8>> = names.fetch_all(&mut *connection).await.map_err(at)?;
     if schema.iter().any(|text| std::str::from_utf8(text).is_err()) {
         return Err(at(sqlx::Error::Protocol(
             "the file is damaged: the name of a table or column is not UTF-8".into(),
         )));
     }
-    if application != APPLICATION_ID && (application != 0 || tables != 0) {
+    if application != APPLICATION_ID && (application != 0 || !schema.is_empty()) {
         return Err(StoreError::NotOurs(path.to_owned()));
     }
     match usize::try_from(version) {
@@ -192,7 +182,7 @@ pub(crate) async fn version(connection: &mut SqliteConnection) -> sqlx::Result<i
 }
 
 /// Creates a database in an empty file, without locks: no other process may know the file.
-pub(crate) async fn create(path: &Path) -> Result<(), StoreError> {
+pub(crate) async fn create(path: &Path) -> Result<()> {
     let at = |source| StoreError::sql(path, "creating", source);
     let mut connection = options(path).pragma("journal_mode", "MEMORY").connect().await.map_err(at)?;
     add_schema(&mut connection, 0).await.map_err(at)?;

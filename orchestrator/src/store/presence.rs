@@ -14,7 +14,7 @@ use libsqlite3_sys as ffi;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{Connection, Executor};
 
-use super::{StoreError, resolve_links, sidecar};
+use super::{Result, StoreError, resolve_links, sidecar};
 use crate::files;
 
 /// What happened to the files of an open database.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use metasense_schemas::record::Checkpoint;
 use sqlx::AssertSqlSafe;
 
-use super::{Level, Store, StoreError, check, npy_values, read_checkpoint};
+use super::{Level, Result, Store, StoreError, check, npy_values, read_checkpoint};
 
 /// Progress of a trial in earlier runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -30,7 +30,7 @@ impl Store {
     /// Most outer steps per body of open trials, over all trials that train it, by [`TrialSpec::training`].
     ///
     /// [`TrialSpec::training`]: metasense_schemas::spec::TrialSpec::training
-    pub async fn bodies(&mut self) -> Result<HashMap<String, u32>, StoreError> {
+    pub async fn bodies(&mut self) -> Result<HashMap<String, u32>> {
         let made = self.provenance.as_ref();
         // Safe: contains only our own SQL.
         let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
@@ -52,7 +52,7 @@ impl Store {
         hash: &str,
         attempt: u32,
         pause: Option<u32>,
-    ) -> Result<Option<Checkpoint>, StoreError> {
+    ) -> Result<Option<Checkpoint>> {
         let own = match self.checkpoint(hash).await {
             Err(error @ (StoreError::Damaged(..) | StoreError::Unreadable { .. })) => Err(error),
             own => Ok(own?),
@@ -111,7 +111,7 @@ impl Store {
         reached: u32,
         best_step: u32,
         by_network: bool,
-    ) -> Result<Result<Option<Checkpoint>, StoreError>, StoreError> {
+    ) -> Result<Result<Option<Checkpoint>>> {
         let at = self.at("reading the body of another trial from");
         let sql = "SELECT bytes, digest FROM checkpoint WHERE trial_id = ?";
         let stored = sqlx::query_as(sql).bind(id).fetch_optional(&mut self.connection).await.map_err(&at)?;
@@ -142,7 +142,7 @@ impl Store {
     }
 
     /// Progress of each open trial that was attempted, by hash.
-    pub async fn attempted(&mut self) -> Result<HashMap<String, PriorProgress>, StoreError> {
+    pub async fn attempted(&mut self) -> Result<HashMap<String, PriorProgress>> {
         let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
             "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
              FROM trial t JOIN attempt a ON a.trial_id = t.id

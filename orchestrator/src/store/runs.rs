@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::write::VERSION;
-use super::{Store, StoreError};
+use super::{Result, Store};
 
 /// Plan of a run at its start.
 #[derive(Debug, Clone, Copy)]
@@ -30,7 +30,7 @@ pub struct RunKey {
 
 impl Store {
     /// Records the start of a run of the current sweep.
-    pub async fn begin_run(&mut self, plan: &RunPlan) -> Result<RunKey, StoreError> {
+    pub async fn begin_run(&mut self, plan: &RunPlan) -> Result<RunKey> {
         let host = self.provenance.as_ref().map_or(String::new(), |made| made.host.clone());
         let (sweep, started_at): (i64, String) = bound!(sqlx::query_as(
             "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials,
@@ -45,13 +45,7 @@ impl Store {
     }
 
     /// Records the end of a run.
-    pub async fn end_run(
-        &mut self,
-        key: &RunKey,
-        outcome: &str,
-        done: usize,
-        failed: usize,
-    ) -> Result<(), StoreError> {
+    pub async fn end_run(&mut self, key: &RunKey, outcome: &str, done: usize, failed: usize) -> Result<()> {
         run!(self,
             "UPDATE run SET ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')), seconds = ?, outcome = ?, done = ?,
                failed = ? WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?";

@@ -3,10 +3,9 @@
 use metasense_schemas::record::{Trial, TrialErrors};
 use metasense_schemas::spec::SweepSpec;
 use serde_json::json;
-use sqlx::Connection;
 
 use super::write::VERSION;
-use super::{Store, StoreError};
+use super::{Result, Store, StoreError};
 
 impl Store {
     /// Records a sweep and its new trials. If nothing is new, changes nothing, except that it updates changed paths of recorded
@@ -14,12 +13,7 @@ impl Store {
     ///
     /// # Errors
     /// `FactsAlone` if the database contains only facts, from which trials cannot resume.
-    pub async fn begin_sweep(
-        &mut self,
-        spec: &SweepSpec,
-        text: &str,
-        trials: &[Trial],
-    ) -> Result<(), StoreError> {
+    pub async fn begin_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[Trial]) -> Result<()> {
         let at = self.at("recording the sweep in");
         let facts = "SELECT EXISTS (SELECT 1 FROM elsewhere)";
         if sqlx::query_scalar(facts).fetch_one(&mut self.connection).await.map_err(&at)? {
@@ -39,40 +33,40 @@ impl Store {
         .fetch_optional(&mut self.connection)
         .await
         .map_err(&at)?;
-        let mut sweep = known;
-        if known.is_none() {
-            let resolved = serde_json::to_string(spec).expect("a spec is JSON");
-            // Ids decrease: `v_trial` shows the sweep with the highest id, which is the first with the trial.
-            let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
+        self.sweep = match known {
+            Some(id) => Some(id),
+            None => Some(self.insert_sweep(spec, text, trials).await?),
+        };
+        let ids = sqlx::query_as::<_, (String, i64)>("SELECT hash, id FROM trial");
+        self.ids = ids.fetch_all(&mut self.connection).await.map_err(&at)?.into_iter().collect();
+        Ok(())
+    }
+
+    /// Records a sweep with its trials. Ids decrease: `v_trial` shows the sweep with the highest id, which is the first with the
+    /// trial.
+    async fn insert_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[Trial]) -> Result<i64> {
+        let resolved = serde_json::to_string(spec).expect("a spec is JSON");
+        self.in_transaction("recording the sweep in", async |store| {
             let id: i64 = bound!(sqlx::query_scalar(
                 "INSERT INTO sweep (id, name, text, spec, version, created_at)
                  VALUES ((SELECT coalesce(min(id), 1) - 1 FROM sweep), ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))
                  ON CONFLICT DO UPDATE SET spec = excluded.spec, version = excluded.version RETURNING id");
                 &spec.name, text, resolved, VERSION)
-            .fetch_one(&mut *tx)
-            .await
-            .map_err(&at)?;
+            .fetch_one(&mut store.connection)
+            .await?;
             for chunk in trials.chunks(CHUNK) {
-                let rows =
-                    serde_json::to_string(&chunk.iter().map(row).collect::<Vec<_>>()).expect("rows are JSON");
+                let rows = serde_json::Value::from_iter(chunk.iter().map(row)).to_string();
                 for sql in [INSERT_TRIALS, INSERT_SWEEP_TRIALS] {
-                    sqlx::query(sql).bind(&rows).bind(id).execute(&mut *tx).await.map_err(&at)?;
+                    run!(store, sql; &rows, id)?;
                 }
             }
-            tx.commit().await.map_err(&at)?;
-            sweep = Some(id);
-        }
-        self.sweep = sweep;
-        let rows: Vec<(String, i64)> = sqlx::query_as("SELECT hash, id FROM trial")
-            .fetch_all(&mut self.connection)
-            .await
-            .map_err(&at)?;
-        self.ids = rows.into_iter().collect();
-        Ok(())
+            Ok(id)
+        })
+        .await
     }
 
     /// Reopens the failed and cancelled trials among these; they resume from their last steps. Returns their number.
-    pub async fn reopen(&mut self, hashes: &[&str]) -> Result<u64, StoreError> {
+    pub async fn reopen(&mut self, hashes: &[&str]) -> Result<u64> {
         let done = run!(self,
             "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
                AND hash IN (SELECT value FROM json_each(?))";
@@ -82,7 +76,7 @@ impl Store {
     }
 
     /// Hashes of the trials that are done or failed.
-    pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
+    pub async fn settled(&mut self) -> Result<Vec<String>> {
         sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
             .fetch_all(&mut self.connection)
             .await
@@ -90,21 +84,17 @@ impl Store {
     }
 
     /// Errors and CPU seconds of all trials that are done or failed.
-    pub async fn trial_errors(&mut self) -> Result<Vec<TrialErrors>, StoreError> {
-        type Row = (String, Option<f64>, Option<f64>, Option<f64>);
-        let rows: Vec<Row> = sqlx::query_as(
-            "SELECT hash, holdout_error_initial, holdout_error_optimised, CAST(seconds AS REAL) FROM v_trial
-             WHERE state IN ('done', 'failed')",
+    pub async fn trial_errors(&mut self) -> Result<Vec<TrialErrors>> {
+        let rows: Vec<(String, Option<f64>, Option<f64>, f64)> = sqlx::query_as(
+            "SELECT hash, holdout_error_initial, holdout_error_optimised, CAST(coalesce(seconds, 0) AS REAL)
+             FROM v_trial WHERE state IN ('done', 'failed')",
         )
         .fetch_all(&mut self.connection)
         .await
         .map_err(self.at("reading"))?;
-        let found = |(hash, initial, optimised, seconds): Row| TrialErrors {
-            hash,
-            errors: [initial, optimised],
-            seconds: seconds.unwrap_or(0.0),
-        };
-        Ok(rows.into_iter().map(found).collect())
+        let errors =
+            |(hash, initial, optimised, seconds)| TrialErrors { hash, errors: [initial, optimised], seconds };
+        Ok(rows.into_iter().map(errors).collect())
     }
 }
 

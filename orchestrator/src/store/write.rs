@@ -7,7 +7,7 @@ use sqlx::Executor;
 
 use super::digest::{check, digest};
 use super::result::finite;
-use super::{Store, StoreError, is_no_json};
+use super::{Result, Store, StoreError, is_no_json};
 
 /// Version of this program, recorded with attempts and sweeps.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -31,32 +31,24 @@ pub(crate) const RELEASE_ORPHANS: &str = "
     UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';";
 
 /// Decodes a trial's checkpoint and verifies its checksum.
-pub(crate) fn read_checkpoint(
-    hash: &str,
-    (bytes, checksum): (Vec<u8>, Option<Vec<u8>>),
-) -> Result<Checkpoint, StoreError> {
+pub(crate) fn read_checkpoint(hash: &str, stored: (Vec<u8>, Option<Vec<u8>>)) -> Result<Checkpoint> {
+    let (bytes, checksum) = stored;
     check(hash, "checkpoint", &bytes, &checksum.unwrap_or_default())?;
-    Checkpoint::from_bytes(&bytes).map_err(|error| StoreError::Unreadable {
-        hash: hash.to_owned(),
-        what: "checkpoint",
-        message: error.to_string(),
-    })
+    Checkpoint::from_bytes(&bytes)
+        .map_err(|error| StoreError::unreadable(hash, "checkpoint", error.to_string()))
 }
 
 impl Store {
     /// Starts a batch: records share one transaction until `commit_batch`, and are durable only after it.
-    pub async fn begin_batch(&mut self) -> Result<(), StoreError> {
+    pub async fn begin_batch(&mut self) -> Result<()> {
         assert!(!self.in_batch, "batches do not nest");
         self.execute("BEGIN IMMEDIATE", "beginning to write to").await?;
         self.in_batch = true;
         Ok(())
     }
 
-    /// Commits the batch: on return it is on disk.
-    ///
-    /// # Errors
-    /// If SQLite fails, for instance on a full disk: nothing of the batch was recorded.
-    pub async fn commit_batch(&mut self) -> Result<(), StoreError> {
+    /// Commits the batch: on return it is on disk. After an error, nothing of it was recorded.
+    pub async fn commit_batch(&mut self) -> Result<()> {
         assert!(self.in_batch, "no batch was begun");
         self.in_batch = false;
         let done = self.execute("COMMIT", "committing to").await;
@@ -74,16 +66,15 @@ impl Store {
         }
     }
 
-    async fn execute(&mut self, sql: &'static str, doing: &'static str) -> Result<(), StoreError> {
-        let done = self.connection.execute(sql).await;
-        done.map(|_| ()).map_err(self.at(doing))
+    async fn execute(&mut self, sql: &'static str, doing: &'static str) -> Result<()> {
+        self.connection.execute(sql).await.map(drop).map_err(self.at(doing))
     }
 
     /// Last checkpoint of a trial; `None` without one.
     ///
     /// # Errors
-    /// If SQLite fails, or the checkpoint is damaged or of another version.
-    pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
+    /// `Damaged`, or `Unreadable` if it is of another version.
+    pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>> {
         let id = self.id(hash)?;
         let stored = bound!(sqlx::query_as("SELECT bytes, digest FROM checkpoint WHERE trial_id = ?"); id)
             .fetch_optional(&mut self.connection)
@@ -93,29 +84,28 @@ impl Store {
     }
 
     /// Begins an attempt at a trial and returns its number, from 1.
-    pub async fn begin_attempt(&mut self, hash: &str) -> Result<u32, StoreError> {
+    pub async fn begin_attempt(&mut self, hash: &str) -> Result<u32> {
         let id = self.id(hash)?;
-        self.in_transaction("beginning an attempt in", async |store| store.insert_attempt(id).await).await
-    }
-
-    async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
-        let made = self.provenance.as_ref();
-        // A new attempt supersedes one that is still running.
-        run!(self, "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
-               ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
-             WHERE trial_id = ? AND state = 'running'"; id)?;
-        run!(self, "UPDATE trial SET state = 'running', reason = NULL WHERE id = ?"; id)?;
-        let number = bound!(sqlx::query_scalar(
-            "INSERT INTO attempt (trial_id, number, version, started_at, code, revision, rustc, host, cpu, simd, threads)
-             SELECT ?1, 1 + coalesce(max(number), 0), ?2, strftime('%Y-%m-%dT%H:%M:%fZ'), ?3, ?4, ?5, ?6, ?7, ?8, ?9
-             FROM attempt WHERE trial_id = ?1 RETURNING number");
-            id, VERSION, made.map(|made| &made.code), made.and_then(|made| made.revision.as_ref()),
-            made.map(|made| &made.rustc), made.map(|made| &made.host), made.and_then(|made| made.cpu.as_ref()),
-            made.map(|made| &made.simd), made.map(|made| made.threads))
-        .fetch_one(&mut self.connection)
-        .await?;
-        self.begun.insert((id, number), Instant::now());
-        Ok(number)
+        self.in_transaction("beginning an attempt in", async |store| {
+            let made = store.provenance.as_ref();
+            // A new attempt supersedes one that is still running.
+            run!(store, "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
+                   ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
+                 WHERE trial_id = ? AND state = 'running'"; id)?;
+            run!(store, "UPDATE trial SET state = 'running', reason = NULL WHERE id = ?"; id)?;
+            let number = bound!(sqlx::query_scalar(
+                "INSERT INTO attempt (trial_id, number, version, started_at, code, revision, rustc, host, cpu, simd, threads)
+                 SELECT ?1, 1 + coalesce(max(number), 0), ?2, strftime('%Y-%m-%dT%H:%M:%fZ'), ?3, ?4, ?5, ?6, ?7, ?8, ?9
+                 FROM attempt WHERE trial_id = ?1 RETURNING number");
+                id, VERSION, made.map(|made| &made.code), made.and_then(|made| made.revision.as_ref()),
+                made.map(|made| &made.rustc), made.map(|made| &made.host), made.and_then(|made| made.cpu.as_ref()),
+                made.map(|made| &made.simd), made.map(|made| made.threads))
+            .fetch_one(&mut store.connection)
+            .await?;
+            store.begun.insert((id, number), Instant::now());
+            Ok(number)
+        })
+        .await
     }
 
     /// Records an outer step and the checkpoint after it in one transaction. The designs of some steps are kept.
@@ -128,24 +118,16 @@ impl Store {
         attempt: u32,
         step: &StepRecord,
         checkpoint: &Checkpoint,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         self.for_current_attempt(hash, attempt, "recording a step in", async |store, id| {
-            let current = store.count_progress(id, attempt, 1, 0).await?;
-            if current {
-                store.insert_step(id, attempt, step, checkpoint).await?;
-            }
-            Ok(current)
+            store.count_progress(id, attempt, 1, 0).await?;
+            store.insert_step(id, attempt, step, checkpoint).await
         })
         .await
     }
 
     /// Records the CPU seconds of the current attempt so far.
-    pub async fn record_cpu_seconds(
-        &mut self,
-        hash: &str,
-        attempt: u32,
-        seconds: f64,
-    ) -> Result<(), StoreError> {
+    pub async fn record_cpu_seconds(&mut self, hash: &str, attempt: u32, seconds: f64) -> Result<()> {
         let id = self.id(hash)?;
         run!(self, "UPDATE attempt SET cpu_seconds = ? WHERE trial_id = ? AND number = ? AND state = 'running'";
             seconds, id, attempt)
@@ -162,28 +144,25 @@ impl Store {
         hash: &str,
         attempt: u32,
         checkpoint: &Checkpoint,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         self.for_current_attempt(hash, attempt, "recording a checkpoint in", async |store, id| {
-            let current = store.count_progress(id, attempt, 0, 1).await?;
-            if current {
-                store.insert_checkpoint(id, checkpoint).await?;
-            }
-            Ok(current)
+            store.count_progress(id, attempt, 0, 1).await?;
+            store.insert_checkpoint(id, checkpoint).await
         })
         .await
     }
 
-    /// Adds to the numbers of steps and of evaluation checkpoints of an attempt; false if it is not the current one.
+    /// Adds to the numbers of steps and of evaluation checkpoints of the current attempt.
     pub(super) async fn count_progress(
         &mut self,
         id: i64,
         attempt: u32,
-        steps: i64,
-        saves: i64,
-    ) -> sqlx::Result<bool> {
-        let done = run!(self, "UPDATE attempt SET steps = steps + ?, saves = saves + ?
+        steps: u32,
+        saves: u32,
+    ) -> sqlx::Result<()> {
+        run!(self, "UPDATE attempt SET steps = steps + ?, saves = saves + ?
              WHERE trial_id = ? AND number = ? AND state = 'running'"; steps, saves, id, attempt)?;
-        Ok(done.rows_affected() == 1)
+        Ok(())
     }
 
     async fn insert_step(
@@ -227,13 +206,10 @@ impl Store {
         attempt: u32,
         result: &TrialResult,
         arrays: &[Array<'_>],
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         self.for_current_attempt(hash, attempt, "recording a result in", async |store, id| {
-            let current = store.end_attempt(id, attempt, "done", None).await?;
-            if current {
-                store.insert_result(id, result, arrays).await?;
-            }
-            Ok(current)
+            store.end_attempt(id, attempt, "done", None).await?;
+            store.insert_result(id, result, arrays).await
         })
         .await
     }
@@ -242,62 +218,48 @@ impl Store {
     ///
     /// # Errors
     /// `Stale` if the attempt is not the current one.
-    pub async fn fail(
-        &mut self,
-        hash: &str,
-        attempt: u32,
-        reason: &str,
-        settled: bool,
-    ) -> Result<(), StoreError> {
+    pub async fn fail(&mut self, hash: &str, attempt: u32, reason: &str, settled: bool) -> Result<()> {
         let state = if settled { "failed" } else { "pending" };
         self.for_current_attempt(hash, attempt, "recording the end of an attempt in", async |store, id| {
-            let current = store.end_attempt(id, attempt, "failed", Some(reason)).await?;
-            if current {
-                run!(store, "UPDATE trial SET state = ?1, reason = ?2,
-                       finished_at = CASE ?1 WHEN 'failed' THEN strftime('%Y-%m-%dT%H:%M:%fZ') END WHERE id = ?3";
-                    state, reason, id)?;
-            }
-            Ok(current)
+            store.end_attempt(id, attempt, "failed", Some(reason)).await?;
+            run!(store, "UPDATE trial SET state = ?1, reason = ?2,
+                   finished_at = CASE ?1 WHEN 'failed' THEN strftime('%Y-%m-%dT%H:%M:%fZ') END WHERE id = ?3";
+                state, reason, id)?;
+            Ok(())
         })
         .await
     }
 
     /// Sets a pending trial to `failed`; its data stays. Records an attempt, so that a merge recognises the later of two
     /// copies.
-    pub async fn fail_pending(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
+    pub async fn fail_pending(&mut self, hash: &str, reason: &str) -> Result<()> {
         let attempt = self.begin_attempt(hash).await?;
         self.fail(hash, attempt, reason, true).await
     }
 
-    /// Ends the current attempt; false if it is not current. The clock may have been set back, but times never decrease.
+    /// Ends the current attempt. The clock may have been set back, but times never decrease.
     async fn end_attempt(
         &mut self,
         id: i64,
         attempt: u32,
         state: &str,
         reason: Option<&str>,
-    ) -> sqlx::Result<bool> {
+    ) -> sqlx::Result<()> {
         let seconds = self.begun.remove(&(id, attempt)).map(|begun| begun.elapsed().as_secs_f64());
-        let done = run!(self, "UPDATE attempt SET state = ?, reason = ?, seconds = ?,
+        run!(self, "UPDATE attempt SET state = ?, reason = ?, seconds = ?,
                ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
-             WHERE trial_id = ? AND number = ? AND state = 'running'"; state, reason, seconds, id, attempt)?;
-        Ok(done.rows_affected() == 1)
-    }
-
-    /// Ends attempts that a killed run left `running`; the lock ensures that none of them still runs.
-    pub(super) async fn release_orphans(&mut self) -> Result<(), StoreError> {
-        self.in_transaction("tidying", async |store| {
-            sqlx::raw_sql(RELEASE_ORPHANS).execute(&mut store.connection).await
-        })
-        .await?;
+             WHERE trial_id = ? AND number = ?"; state, reason, seconds, id, attempt)?;
         Ok(())
     }
 
-    pub(super) fn id(&self, hash: &str) -> Result<i64, StoreError> {
-        self.ids
-            .get(hash)
-            .copied()
-            .ok_or_else(|| StoreError::UnknownTrial(self.path.clone(), hash.to_owned()))
+    /// Ends attempts that a killed run left `running`; the lock ensures that none of them still runs.
+    pub(super) async fn release_orphans(&mut self) -> Result<()> {
+        self.in_transaction("tidying", async |store| store.execute_all(RELEASE_ORPHANS).await).await
+    }
+
+    pub(super) fn id(&self, hash: &str) -> Result<i64> {
+        let known = self.ids.get(hash).copied();
+        known.ok_or_else(|| StoreError::UnknownTrial(self.path.clone(), hash.to_owned()))
     }
 
     /// Does all of `work` or nothing: within the batch, or in its own transaction.
@@ -305,7 +267,7 @@ impl Store {
         &mut self,
         doing: &'static str,
         work: impl AsyncFnOnce(&mut Self) -> sqlx::Result<T>,
-    ) -> Result<T, StoreError> {
+    ) -> Result<T> {
         let own = !self.in_batch;
         if own {
             self.execute("BEGIN IMMEDIATE", doing).await?;
@@ -320,22 +282,29 @@ impl Store {
         done.map_err(self.at(doing))
     }
 
-    /// Runs `work` for an attempt. `work` gets the id of the trial and returns whether the attempt is the current one.
+    /// Runs `work` with the id of the trial if this attempt at it is the current one.
     async fn for_current_attempt(
         &mut self,
         hash: &str,
         attempt: u32,
         doing: &'static str,
-        work: impl AsyncFnOnce(&mut Self, i64) -> sqlx::Result<bool>,
-    ) -> Result<(), StoreError> {
+        work: impl AsyncFnOnce(&mut Self, i64) -> sqlx::Result<()>,
+    ) -> Result<()> {
+        const CURRENT: &str =
+            "SELECT EXISTS (SELECT 1 FROM attempt WHERE trial_id = ? AND number = ? AND state = 'running')";
         let id = self.id(hash)?;
-        let done = self.in_transaction(doing, async |store| work(store, id).await).await;
-        match done {
-            Err(StoreError::Sql { source, .. }) if is_no_json(&source) => Err(StoreError::Unreadable {
-                hash: hash.to_owned(),
-                what: "spec",
-                message: "it is not JSON".into(),
-            }),
+        let done = self.in_transaction(doing, async |store| {
+            let current =
+                bound!(sqlx::query_scalar(CURRENT); id, attempt).fetch_one(&mut store.connection).await?;
+            if current {
+                work(store, id).await?;
+            }
+            Ok(current)
+        });
+        match done.await {
+            Err(StoreError::Sql { source, .. }) if is_no_json(&source) => {
+                Err(StoreError::unreadable(hash, "spec", "it is not JSON".into()))
+            }
             Err(error) => Err(error),
             Ok(true) => Ok(()),
             Ok(false) => Err(StoreError::Stale(hash.to_owned(), attempt)),
