@@ -4,7 +4,8 @@
 use std::collections::BTreeSet;
 
 use crate::common::{Bench, TINY};
-use metasense::plan::{Plan, cost};
+use metasense::plan::Plan;
+use metasense_lab::cost;
 use metasense_source::{Source, spec_schema};
 use serde_json::Value;
 

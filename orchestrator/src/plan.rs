@@ -7,15 +7,16 @@ mod axes;
 mod brains;
 mod check;
 mod combinations;
-pub mod cost;
 mod files;
-pub mod goal;
-mod size;
+mod goal;
+#[cfg(test)]
+mod tests;
 mod until;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
+use metasense_lab::cost;
 use metasense_schemas::spec::{
     Body, BodyKind, Design, Disturbance, LayoutKind, Point, Search, SearchFrom, Sensors, SweepSpec, Training,
     TrialSpec,
@@ -32,7 +33,6 @@ use combinations::Combinations;
 use files::{described, with_records};
 pub(crate) use files::{with_design, with_file};
 pub use metasense_schemas::record::Trial;
-pub(crate) use size::scale_to_size;
 
 /// A spec file and its trials.
 #[derive(Debug, Clone)]
@@ -128,7 +128,9 @@ fn add_points(
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
     problem::external::refuse_unread(&combination.spec).map_err(located)?;
     let (spec, scale) = match combination.spec.body.kind {
-        BodyKind::Polygons => scale_to_size(&with_file(&combination.spec, source)?).map_err(located)?,
+        BodyKind::Polygons => {
+            problem::scale_to_size(&with_file(&combination.spec, source)?).map_err(located)?
+        }
         BodyKind::External => (described(&combination.spec, source)?, 1.0),
     };
     let layout = layout(&spec.body).map_err(located)?;

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use metasense::analysis::goal::{BEGIN, LEAST_RESULTS, WORTH, WORTH_LAST};
-use metasense::plan::goal::RUNGS;
+use metasense::rounds::space::RUNGS;
 use metasense_lab::measured::measured_schema;
 use metasense_source::spec_schema;
 use serde_json::Value;

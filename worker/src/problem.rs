@@ -24,6 +24,7 @@ mod casts;
 pub mod external;
 mod material;
 mod optimise;
+mod size;
 mod stimuli;
 
 pub use crate::invalid::{Invalid, as_written};
@@ -41,6 +42,7 @@ use casts::{casting, casts, variation};
 pub use material::{material, sheet};
 pub use optimise::{castable, design_parameters};
 use optimise::{frozen, protocol, tie};
+pub use size::scale_to_size;
 use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 
 /// Greatest number of instants per sample.

@@ -7,11 +7,11 @@ use super::run::{RunConfig, Running, run};
 use super::{Error, Format, log, print_rows};
 use crate::engine::Signals;
 use crate::exit::Exit;
-use crate::plan::goal::Space;
 use crate::plan::{Plan, counted};
 use crate::reader::Reader;
 use crate::report::search::{COLUMNS, SearchState};
 use crate::rounds::search;
+use crate::rounds::space::Space;
 use crate::scheduler::Outcome;
 use tokio::sync::Notify;
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use metasense_lab::cost;
 use metasense_lab::modes::{Natural, natural_frequencies};
 use metasense_worker::problem::measures;
 use metasense_worker::simd::name;
@@ -15,7 +16,7 @@ use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
 use crate::export::ligament::impossible;
 use crate::look::{Table, number, row};
-use crate::plan::{Trial, cost, counted};
+use crate::plan::{Trial, counted};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 ///

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use metasense_lab::cost;
 use metasense_schemas::record::TrialErrors;
 use metasense_schemas::spec::Run;
 use metasense_source::Source;
@@ -22,7 +23,7 @@ use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Control, EngineError, GRACE, Options, Reread, RerunPolicy, Signals};
 use crate::exit::{Exit, chain};
-use crate::plan::{GRACE_MAX, Plan, Trial, cost, counted};
+use crate::plan::{GRACE_MAX, Plan, Trial, counted};
 use crate::rounds::{Runs, rounds};
 use crate::scheduler::{Outcome, Settings};
 use crate::store::{RunPlan, Store, StoreError, wait_for_locks};

@@ -5,7 +5,7 @@ use metasense_source::{Source, SpecError};
 use metasense_worker::design::{Feasible, Layout, Limits};
 use metasense_worker::problem::{self, Invalid, Panel};
 
-use crate::plan::{check_placements, combinations, layout, placement, scale_to_size, with_design, with_file};
+use crate::plan::{check_placements, combinations, layout, placement, with_design, with_file};
 
 /// A single body of a spec, for commands about designs rather than trials.
 pub struct SpecBody {
@@ -47,7 +47,7 @@ impl SpecBody {
         if panels_vary || combinations.iter().any(|c| other(&c.spec)) {
             return Ok(None);
         }
-        let (first, _) = scale_to_size(&with_file(&first, source)?).map_err(located)?;
+        let (first, _) = problem::scale_to_size(&with_file(&first, source)?).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
         let design = with_design("body.design", first.body.design.as_ref(), &layout, source)?;
         let body = Body { design, ..first.body.clone() };

@@ -9,6 +9,8 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use metasense_lab::cost;
+
 use super::named::Spec;
 use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
@@ -21,7 +23,7 @@ use crate::cluster::{Assignment, Shard, ranges};
 use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files;
-use crate::plan::{Plan, Trial, cost, counted};
+use crate::plan::{Plan, Trial, counted};
 use crate::reader::Reader;
 
 /// Runs a sweep as shards on a cluster or on several machines, and merges them

@@ -10,10 +10,12 @@ use std::io::{self, ErrorKind};
 use std::iter;
 use std::path::{Path, PathBuf};
 
+use metasense_lab::cost;
+
 use super::Shard;
 use super::home::attempts;
 use crate::files;
-use crate::plan::{Plan, Trial, cost};
+use crate::plan::{Plan, Trial};
 
 /// The shard of each trial, by its hash.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use metasense_lab::cost;
+
 use super::Assignment;
 use super::home::SUBMITTED_SPEC;
 use super::scheduler::Scheduler;
 use crate::engine::GRACE;
-use crate::plan::{Trial, cost};
+use crate::plan::Trial;
 
 /// Time before its time limit at which a shard is stopped (s), or more if `run.grace` requires it.
 pub const NOTICE: u64 = 60;

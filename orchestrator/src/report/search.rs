@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use metasense_lab::tasks;
+use metasense_lab::{cost, tasks};
 use metasense_schemas::spec::{Goal, GoalReader, GoalReaderName, TrialSpec};
 use metasense_source::SpecError;
 use metasense_worker::FAILED;
@@ -11,9 +11,9 @@ use super::Sweep;
 use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, confirming, most_fresh};
 use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
-use crate::plan::goal::{SearchTrial, Space, on_fresh_seeds, rungs};
-use crate::plan::{Plan, Trial, cost, counted};
+use crate::plan::{Plan, Trial, counted};
 use crate::reader::{Reader, TrialProgress};
+use crate::rounds::space::{SearchTrial, Space, on_fresh_seeds, rungs};
 use crate::store::StoreError;
 
 /// The state of a search.

@@ -2,6 +2,7 @@
 //! [`Runs`] is implemented by whatever runs trials: the workers of this process, or shards.
 
 mod search;
+pub mod space;
 
 use std::path::Path;
 

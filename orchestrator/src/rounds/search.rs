@@ -2,11 +2,11 @@
 
 use std::collections::HashSet;
 
+use super::space::{Space, on_fresh_seeds, rungs};
 use super::{Runs, stopped_between};
 use crate::analysis::goal::{Decision, LEVELS, Work, confirming, fresh_after, most_fresh};
 use crate::engine::RerunPolicy;
 use crate::look::number;
-use crate::plan::goal::{Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial};
 use crate::reader::Reader;
 use crate::report::search::{Bodies, SearchData, begun};

@@ -1,5 +1,5 @@
 //! Questions about one body or about measured records, asked outside of trials: modes, bounds, capacities, placements, simulations,
-//! replays of finished trials, fits and checks of records, comparisons with reference cases.
+//! replays of finished trials, fits and checks of records, comparisons with reference cases, estimates of computing time.
 //!
 //! No trial uses this package, so it cannot change the results of a trial. `questions` contains the algorithms, which use neither
 //! files nor clocks; the other modules convert specs and files, and call the algorithms.
@@ -8,6 +8,7 @@ pub mod bound;
 pub mod capacity;
 pub mod casts;
 pub mod check;
+pub mod cost;
 pub mod demands;
 pub mod evaluate;
 pub mod identify;

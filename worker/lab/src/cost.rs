@@ -4,8 +4,7 @@
 
 use std::collections::HashSet;
 
-use super::Trial;
-use metasense_schemas::record::Parts;
+use metasense_schemas::record::{Parts, Trial};
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
 use metasense_worker::evaluated_fraction;
 use metasense_worker::pace::Pace;
@@ -40,7 +39,7 @@ const INVERSION: f64 = 250.0;
 const TWINS: f64 = 12_000.0;
 
 /// Number of the decoder's weights, biases included: of a network, a linear decoder (per lag), or both for a stacked decoder.
-pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
+pub fn brain_parameters(trial: &TrialSpec) -> usize {
     let linear = || trial.point.panels * (unknowns(trial, trial.brain.memory) + 1);
     match trial.brain.kind {
         BrainKind::Cnn => network_weights(trial),
@@ -104,7 +103,7 @@ pub fn total<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> f64 {
 }
 
 /// Marks the first trial of each body as the one that trains it.
-pub(crate) fn first_trains(trials: &mut [Trial]) {
+pub fn first_trains(trials: &mut [Trial]) {
     let mut trained = HashSet::new();
     for trial in trials {
         trial.trains = trained.insert(&trial.training);

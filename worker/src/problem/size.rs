@@ -5,16 +5,18 @@
 //! ```
 //! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which scaling keeps,
 //! and k_θ ~ E t w³/l. The disc thus keeps its mass and its resistance to deformation; only its units become smaller. The
-//! formulas of a material (`problem::sheet`) use the lengths as written.
+//! formulas of a material ([`sheet`]) use the lengths as written.
 
 use metasense_schemas::spec::{Body, LayoutKind, SweepSpec};
-use metasense_worker::problem::{Invalid, sheet};
+
+use super::sheet;
+use crate::invalid::{Invalid, invalid, positive};
 
 /// The spec with the lengths for `body.diameter` or `body.width` and the properties of `body.material`; and the scale s.
 ///
 /// # Errors
 /// If a size is invalid or belongs to the other layout; if the material is missing or given twice.
-pub(crate) fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
+pub fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     // keep the material, which says what to cast
     let body = Body { material: spec.body.material, ..sheet(&spec.body)? };
     let mut spec = SweepSpec { body, ..spec.clone() };
@@ -31,18 +33,11 @@ pub(crate) fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invali
             "only for circular bodies; use body.width for a planar body",
         ),
     };
-    let invalid = |(key, value): (&str, Option<f64>), remedy: &str| Invalid {
-        key: key.into(),
-        value: value.unwrap_or_default().to_string(),
-        remedy: remedy.into(),
-    };
-    if other.1.is_some() {
-        return Err(invalid(other, remedy));
+    if let (key, Some(value)) = other {
+        return Err(invalid(key, value, remedy));
     }
-    let Some(size) = size_key.1 else { return Ok((spec, 1.0)) };
-    if !(size > 0.0 && size.is_finite()) {
-        return Err(invalid(size_key, "must be a number above 0"));
-    }
+    let (key, Some(size)) = size_key else { return Ok((spec, 1.0)) };
+    positive(key, size)?;
     let scale = size / (body.columns() as f64 * body.lengths()[0]);
     for length in [&mut body.spacing, &mut body.ligament_length].into_iter().flatten() {
         *length *= scale;
@@ -62,6 +57,3 @@ pub(crate) fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invali
     }
     Ok((spec, scale))
 }
-
-#[cfg(test)]
-mod tests;
