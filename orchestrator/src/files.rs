@@ -5,6 +5,7 @@ pub(crate) mod disk;
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
@@ -45,6 +46,29 @@ pub fn is_in_path(program: &str) -> bool {
 /// Whether another process has an exclusive lock on a file; false if the file system has no locks.
 pub(crate) fn is_held(file: &File) -> bool {
     matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
+}
+
+/// Resolves links: the write-ahead log lies beside the file, not beside the link.
+pub(crate) fn resolve_links(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+}
+
+/// Path of the file beside a database whose name has `end` appended; resolves links.
+pub(crate) fn sidecar(file: &Path, end: &str) -> PathBuf {
+    let mut name = resolve_links(file).into_os_string();
+    name.push(end);
+    name.into()
+}
+
+/// Whether a non-empty write-ahead log exists.
+pub(crate) fn has_journal(file: &Path) -> bool {
+    sidecar(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
+}
+
+/// Whether a path still refers to an open file.
+pub(crate) fn is_still(file: &File, path: &Path) -> bool {
+    let names = |m: std::fs::Metadata| (m.dev(), m.ino());
+    file.metadata().ok().map(names) == path.metadata().ok().map(names)
 }
 
 /// Moves a finished file over another on the same file system. On return, the result is on disk.

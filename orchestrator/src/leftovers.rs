@@ -1,5 +1,7 @@
-//! Finds and removes files and folders of killed processes. Their names end with the mark of the process ([`own_mark`]).
+//! Finds and removes files and folders of killed processes. Names of files on disk end with the mark of
+//! the process ([`own_mark`]); a run's directory in shared memory contains a lock, which is free once the run is dead.
 
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -7,6 +9,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 use crate::files::own_mark;
+use crate::link::{STEM, remove_segments};
 
 /// Minimum age before a file of another machine counts as abandoned.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
@@ -67,6 +70,45 @@ pub fn remove(path: &Path) -> io::Result<()> {
     match path.symlink_metadata()?.is_dir() {
         true => std::fs::remove_dir_all(path),
         false => std::fs::remove_file(path),
+    }
+}
+
+/// A run's directory in shared memory without a lock file may belong to a run that is starting, up to this age.
+const BIRTH: Duration = Duration::from_secs(60);
+
+/// Removes directories and segments of dead runs and returns their number. Those of other users stay.
+pub(crate) fn remove_dead_runs(shared: &Path) -> usize {
+    let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
+    let mut removed = 0;
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let Some(id) = name.strip_prefix(STEM) else { continue };
+        match id.split_once('_') {
+            Some((id, _)) => {
+                if !shared.join(format!("{STEM}{id}")).exists() {
+                    removed += usize::from(std::fs::remove_file(entry.path()).is_ok());
+                }
+            }
+            None => {
+                if let Some(_lock) = dead_run(&entry.path()) {
+                    removed += remove_segments(shared, &format!("{name}_"));
+                    removed += usize::from(std::fs::remove_dir_all(entry.path()).is_ok());
+                }
+            }
+        }
+    }
+    removed
+}
+
+/// Opens the lock, or without one the directory, of a dead run; `None` if the run may be alive.
+fn dead_run(directory: &Path) -> Option<File> {
+    match File::open(directory.join("lock")) {
+        Ok(lock) => lock.try_lock().is_ok().then_some(lock),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let age = directory.metadata().ok()?.modified().ok()?.elapsed().ok()?;
+            (age > BIRTH).then(|| File::open(directory).ok())?
+        }
+        Err(_) => None,
     }
 }
 

@@ -18,14 +18,16 @@ use std::path::{Path, PathBuf};
 
 use metasense_lab::cost;
 use metasense_schemas::spec::{
-    Body, BodyKind, Design, Disturbance, LayoutKind, Point, Search, SearchFrom, Sensors, SweepSpec, Training,
+    Body, BodyKind, Design, Disturbance, LayoutKind, Point, Search, SearchFrom, SweepSpec, Training,
     TrialSpec,
 };
-use metasense_source::{HashError, Source, SpecError, position_of};
+use metasense_source::{Source, SpecError};
 use metasense_worker::design::Layout;
+use metasense_worker::invalid::invalid;
 use metasense_worker::problem::{self, Invalid};
 use metasense_worker::{external, memory, records};
 
+use crate::hashes::{HashError, position_of};
 use axes::Combination;
 pub(crate) use axes::combinations;
 pub(crate) use check::{GRACE_MAX, check_placements};
@@ -48,18 +50,12 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Expands the text of a spec file.
-    ///
-    /// # Errors
-    /// For the first key that is unknown or has an impossible value.
+    /// Expands the text of a spec file. The error names the first key that is unknown or has an impossible value.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
         Self::of(Source::spec(file, text, &[])?)
     }
 
     /// Expands a spec.
-    ///
-    /// # Errors
-    /// As [`Plan::new`].
     pub fn of(source: Source) -> Result<Self, SpecError> {
         let Combinations { source, spec, combinations, left_out } = Combinations::of(source)?;
         let mut points = Vec::new();
@@ -75,32 +71,23 @@ impl Plan {
     }
 
     /// A plan with trials that were expanded earlier.
-    ///
-    /// # Errors
-    /// If the spec is invalid.
     pub fn listed(source: Source, trials: Vec<Trial>) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
         Ok(Self { source, spec, trials, left_out: Vec::new() })
     }
 
     /// The only trial whose hash starts with `hash`.
-    ///
-    /// # Errors
-    /// If no trial or several match.
     pub fn find(&self, hash: &str) -> Result<&Trial, HashError> {
         let at = position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str()))?;
         Ok(&self.trials[at])
     }
 
-    /// Checks that each trial fits into the memory of a worker, limited by `[run] memory`, the machine and its limits.
-    ///
-    /// # Errors
-    /// Names the key that needs the most memory.
+    /// Checks that each trial fits into the memory of a worker, limited by `[run] memory`, the machine and its limits. The error
+    /// names the key that needs the most memory.
     pub fn check_memory(&self) -> Result<(), SpecError> {
         let limit = memory::limit(self.spec.run.memory);
-        let refused = |e: Invalid| self.source.error_with(&e.key, Some(&e.value), &e.remedy);
         let check = |trial: &Trial| memory::check(&trial.spec, trial.units, limit.as_ref());
-        self.trials.iter().try_for_each(check).map_err(refused)
+        self.trials.iter().try_for_each(check).map_err(located(&self.source))
     }
 
     /// Path of the database by default.
@@ -125,43 +112,30 @@ fn add_points(
     combination: &Combination,
     points: &mut Vec<PointPlan>,
 ) -> Result<(), SpecError> {
-    let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+    let located = located(source);
     problem::external::refuse_unread(&combination.spec).map_err(located)?;
-    let (spec, scale) = match combination.spec.body.kind {
+    let (mut spec, scale) = match combination.spec.body.kind {
         BodyKind::Polygons => {
             problem::scale_to_size(&with_file(&combination.spec, source)?).map_err(located)?
         }
         BodyKind::External => (described(&combination.spec, source)?, 1.0),
     };
     let layout = layout(&spec.body).map_err(located)?;
-    let spec = &SweepSpec {
-        body: Body {
-            design: with_design("body.design", spec.body.design.as_ref(), &layout, source)?,
-            ..spec.body.clone()
-        },
-        sensors: Sensors {
-            relative_to: with_design(
-                "sensors.relative_to",
-                spec.sensors.relative_to.as_ref(),
-                &layout,
-                source,
-            )?,
-            ..spec.sensors.clone()
-        },
-        stimuli: with_records(&spec.stimuli, source)?,
-        ..spec.clone()
-    };
+    spec.body.design = with_design("body.design", spec.body.design, &layout, source)?;
+    spec.sensors.relative_to = with_design("sensors.relative_to", spec.sensors.relative_to, &layout, source)?;
+    spec.stimuli = with_records(spec.stimuli, source)?;
+    let spec = &spec;
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
     spec.sensors.placements.as_ref().map_or(Ok(()), |lists| check_placements(lists, source))?;
+    let chosen = searched || spec.sensors.placements.is_some();
+    source.require(&[(
+        "sweep.own_placements",
+        !(sweep.sweep.own_placements && chosen),
+        "cannot be set together with sensors.search or sensors.placements",
+    )])?;
     let placement_count =
         sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
-    if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
-        return Err(source.error(
-            "sweep.own_placements",
-            "cannot be set together with sensors.search or sensors.placements",
-        ));
-    }
     // keep only the units that carry sensors: there may be a million placements
     let max_sensors = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
     let order = |p: usize| {
@@ -177,7 +151,7 @@ fn add_points(
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {
             let excluded = combination.exclusions(panels, sensors);
-            if excluded.iter().any(axes::Exclusion::is_total) {
+            if excluded.contains(&[None; 2]) {
                 continue;
             }
             let placements: Vec<Vec<usize>> = match &spec.sensors.placements {
@@ -232,6 +206,11 @@ fn add_points(
     Ok(())
 }
 
+/// Returns a conversion of invalid values into errors at their keys.
+pub(crate) fn located(source: &Source) -> impl Fn(Invalid) -> SpecError + Copy {
+    move |e| source.error_with(&e.key, Some(&e.value), &e.remedy)
+}
+
 /// `1 trial`, `2 trials`.
 pub(crate) fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
@@ -245,11 +224,10 @@ pub(crate) fn placement(body: &Body, layout: &Layout, p: u64, clamped: &[usize])
 /// The layout of a body in a spec. Specs of circular bodies must omit rows; only their trials have them, equal to columns.
 pub(crate) fn layout(body: &Body) -> Result<Layout, Invalid> {
     match (body.layout, body.rows) {
-        (LayoutKind::Circular, Some(rows)) => Err(Invalid {
-            key: "body.rows".into(),
-            value: rows.to_string(),
-            remedy: "must be left out for a circular body: body.columns counts its units across".into(),
-        }),
+        (LayoutKind::Circular, Some(rows)) => {
+            let remedy = "must be left out for a circular body: body.columns counts its units across";
+            Err(invalid("body.rows", rows, remedy))
+        }
         _ => problem::layout(body),
     }
 }
@@ -325,7 +303,10 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
         for placement in if spec.sweep.own_placements { own } else { 0..most_placements } {
             for point in points {
                 let Some(units) = point.placements.get(placement) else { continue };
-                if point.excluded.iter().any(|e| e.holds(placement, seed)) {
+                let is_here = |[p, s]: &axes::Exclusion| {
+                    p.is_none_or(|p| p == placement as u64) && s.is_none_or(|s| s == seed)
+                };
+                if point.excluded.iter().any(is_here) {
                     continue;
                 }
                 let spec = at(&point.trial.spec, placement, units, seed);

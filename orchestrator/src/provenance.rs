@@ -47,6 +47,17 @@ fn cpu() -> Option<String> {
     Some(line.split_once(':')?.1.trim().to_owned())
 }
 
+/// Job id of this run on the cluster, if any.
+pub(crate) fn job() -> Option<String> {
+    let variable = |name| std::env::var(name).ok();
+    let slurm = || {
+        let task = variable("SLURM_ARRAY_TASK_ID").map_or(String::new(), |task| format!("_{task}"));
+        variable("SLURM_ARRAY_JOB_ID").or(variable("SLURM_JOB_ID")).map(|job| format!("slurm {job}{task}"))
+    };
+    let hyperqueue = || Some(format!("hq {}.{}", variable("HQ_JOB_ID")?, variable("HQ_TASK_ID")?));
+    slurm().or_else(hyperqueue)
+}
+
 /// A warning if different code computed the results; `None` if the code is the same.
 pub fn mixed(made: &[CodeVersion]) -> Option<String> {
     let named = |made: &CodeVersion| {

@@ -1,10 +1,15 @@
-//! Additional SQL functions for readers: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`. The result
+//! Waiting for locks, and additional SQL functions for readers: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`. The result
 //! is NULL if an argument is not a number or outside the domain; aggregates skip NULL.
+
+mod wait;
 
 use std::ffi::{CStr, c_int};
 
 use libsqlite3_sys as ffi;
 use sqlx::sqlite::SqliteConnection;
+
+pub(crate) use wait::wait_on;
+pub use wait::{hurry, wait_for_locks};
 
 type Arguments = *mut *mut ffi::sqlite3_value;
 type Function = unsafe extern "C" fn(*mut ffi::sqlite3_context, c_int, Arguments);

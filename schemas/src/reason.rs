@@ -128,11 +128,9 @@ pub const CANCELLED: &str = "cancelled";
 impl Reason {
     /// Whether another attempt may succeed, because the process failed and not the trial.
     pub fn is_retried(self) -> bool {
-        let body = matches!(self, Self::Body(BodyFault::Died | BodyFault::TimeLimit));
-        body || matches!(
-            self,
-            Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped
-        )
+        let by_body = matches!(self, Self::Body(BodyFault::Died | BodyFault::TimeLimit));
+        let by_process = matches!(self, Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress);
+        by_body || by_process || self == Self::Stopped
     }
 
     /// Whether the machine lacked a resource that it may have later.

@@ -66,17 +66,6 @@ impl<T: Add<Output = T>> Parts<T> {
     }
 }
 
-/// The part of a settled trial's result that the questions of `[until]` use.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TrialErrors {
-    /// Name of the trial.
-    pub hash: String,
-    /// Held-out errors (%) of initial and trained body; `None` if the trial failed.
-    pub errors: [Option<f64>; 2],
-    /// CPU seconds.
-    pub seconds: f64,
-}
-
 /// The code and the machine that compute a trial.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Provenance {
@@ -214,20 +203,6 @@ pub struct NetworkEvaluation {
     pub outcome: String,
     /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
-}
-
-/// Returns the mean of an error over the networks that have it.
-pub fn mean(
-    networks: &[NetworkEvaluation],
-    error: impl Fn(&NetworkEvaluation) -> Option<f64>,
-) -> Option<f64> {
-    let errors: Vec<f64> = networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
-    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
-}
-
-/// Returns the largest number of samples above 100 % of any network; `None` if unknown.
-pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
-    networks.iter().filter_map(|network| Some(network.spread?.above)).max()
 }
 
 /// Errors of a linear decoder on a body.

@@ -10,6 +10,7 @@ use iceoryx2::port::ReceiveError;
 use iceoryx2::port::listener::ListenerWaitError;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
+pub use iceoryx2::prelude::BackpressureStrategy;
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -267,21 +268,8 @@ impl Services {
         })
     }
 
-    /// Creates a sender of messages. If the buffer is full, a message is discarded and [`send`] returns false.
-    pub fn sender(service: &Channel<[u8]>) -> Result<MessageSender, LinkError> {
-        Self::sender_of(service, BackpressureStrategy::DiscardData, "creating a sender")
-    }
-
-    /// Creates a sender of arrays, which waits while the buffer is full. The receiver reads arrays in place.
-    pub fn array_sender(service: &Channel<[u8]>) -> Result<MessageSender, LinkError> {
-        Self::sender_of(service, BackpressureStrategy::RetryUntilDelivered, "creating a sender of arrays")
-    }
-
-    fn sender_of(
-        service: &Channel<[u8]>,
-        full: BackpressureStrategy,
-        step: &'static str,
-    ) -> Result<MessageSender, LinkError> {
+    /// Creates a sender of messages. If the buffer is `full`, it waits, or discards the message and [`send`] returns false.
+    pub fn sender(service: &Channel<[u8]>, full: BackpressureStrategy) -> Result<MessageSender, LinkError> {
         service
             .publisher_builder()
             .initial_max_slice_len(CHUNK)
@@ -289,7 +277,7 @@ impl Services {
             .max_loaned_samples(1)
             .backpressure_strategy(full)
             .create()
-            .map_err(LinkError::of(step))
+            .map_err(LinkError::of("creating a sender"))
     }
 
     /// Creates a receiver of messages.
@@ -334,10 +322,7 @@ pub fn sleep(sleeper: &Sleeper, waiting: &'static str) -> Result<(), LinkError> 
     }
 }
 
-/// Encodes a message.
-///
-/// # Panics
-/// Never for the types of this module: postcard rejects only sequences of unknown length.
+/// Encodes a message: postcard rejects only sequences of unknown length, which the types of this module do not contain.
 pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
     postcard::to_allocvec(message).expect("messages hold sequences of known length")
 }
@@ -362,7 +347,6 @@ pub fn receive_arrays(
     patience: Duration,
 ) -> Result<Sample, LinkError> {
     let wrong = |cause: String| LinkError { step: "receiving the arrays of a result", cause };
-
     let mut waited = Duration::ZERO;
     loop {
         match receiver.receive() {
@@ -390,12 +374,8 @@ pub fn receive_arrays(
 /// # Errors
 /// If the connection is broken or the message is of another build.
 pub fn receive<T: serde::de::DeserializeOwned>(receiver: &MessageReceiver) -> Result<Option<T>, LinkError> {
-    match receiver.receive().map_err(LinkError::of("receiving"))? {
-        None => Ok(None),
-        Some(sample) => {
-            postcard::from_bytes(sample.payload()).map(Some).map_err(LinkError::of("decoding a message"))
-        }
-    }
+    let Some(sample) = receiver.receive().map_err(LinkError::of("receiving"))? else { return Ok(None) };
+    postcard::from_bytes(sample.payload()).map(Some).map_err(LinkError::of("decoding a message"))
 }
 
 #[cfg(test)]

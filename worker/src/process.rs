@@ -15,8 +15,8 @@ use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
-    self, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress, Services, Sleeper,
-    Start, ToOrchestrator, ToWorker, Waker,
+    self, BackpressureStrategy, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress,
+    Services, Sleeper, Start, ToOrchestrator, ToWorker, Waker,
 };
 use rustix::process;
 
@@ -169,8 +169,8 @@ impl Worker {
             perform,
             down: Services::receiver(&services.down)?,
             sleeper: Services::sleeper(&services.wake_worker)?,
-            up: Services::sender(&services.up)?,
-            arrays: Services::array_sender(&services.arrays)?,
+            up: Services::sender(&services.up, BackpressureStrategy::DiscardData)?,
+            arrays: Services::sender(&services.arrays, BackpressureStrategy::RetryUntilDelivered)?,
             beats: Services::beat_sender(&services.progress)?,
             waker: Services::waker(&services.wake_orchestrator)?,
             services,

@@ -340,10 +340,19 @@ pub fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     if *known == now { Ok(()) } else { Err(invalid("stimuli.recorded.digest", known, remedy)) }
 }
 
+/// A unit of force in newtons.
+pub fn newtons(unit: spec::ForceUnit) -> f64 {
+    match unit {
+        spec::ForceUnit::Newton => 1.0,
+        spec::ForceUnit::Millinewton => 1e-3,
+        spec::ForceUnit::Kilonewton => 1e3,
+    }
+}
+
 /// Converts forces to newtons, removes the offset, and shifts the blow to the time of the trigger, `room` (s) by default. Returns
 /// the shift (s).
 pub fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -> Result<f64, String> {
-    let factor = recorded.force_unit.newtons() * recorded.scale;
+    let factor = newtons(recorded.force_unit) * recorded.scale;
     let factors = vec![factor; record.values.len()];
     in_units("force", &mut record.values, &factors, recorded.remove_offset)?;
     let Some(trigger) = recorded.trigger else { return Ok(0.0) };

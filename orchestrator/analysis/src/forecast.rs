@@ -73,7 +73,7 @@ impl Ratio {
 }
 
 /// Forecast of the time of a run.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Forecast {
     trials: Vec<Planned>,
     workers: usize,
@@ -85,13 +85,7 @@ pub struct Forecast {
 impl Forecast {
     /// A forecast for these trials, in the order of the plan.
     pub fn new(trials: Vec<Planned>, workers: u32) -> Self {
-        Self {
-            trials,
-            workers: workers.max(1) as usize,
-            running: HashMap::new(),
-            of_steps: Ratio::default(),
-            of_comparisons: Ratio::default(),
-        }
+        Self { trials, workers: workers.max(1) as usize, ..Self::default() }
     }
 
     /// Adds a trial.

@@ -33,6 +33,7 @@ pub mod tasks;
 pub mod transfer;
 pub mod trial;
 pub mod until;
+pub mod view;
 
 #[cfg(test)]
 mod tests;

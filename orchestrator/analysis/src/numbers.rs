@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use metasense_schemas::record::NetworkEvaluation;
+
 /// Arithmetic mean; `None` without values.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
@@ -77,4 +79,18 @@ pub fn median(mut values: Vec<f64>) -> f64 {
 /// Returns the distinct values, sorted.
 pub fn distinct<T: Ord>(values: impl IntoIterator<Item = T>) -> Vec<T> {
     values.into_iter().collect::<BTreeSet<T>>().into_iter().collect()
+}
+
+/// Returns the mean of an error over the networks that have it.
+pub fn network_mean(
+    networks: &[NetworkEvaluation],
+    error: impl Fn(&NetworkEvaluation) -> Option<f64>,
+) -> Option<f64> {
+    let errors: Vec<f64> = networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
+    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+/// Returns the largest number of samples above 100 % of any network; `None` if unknown.
+pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
+    networks.iter().filter_map(|network| Some(network.spread?.above)).max()
 }

@@ -9,11 +9,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use metasense::cli::{self, Error};
-use metasense::engine::{self, Control, Options, RerunPolicy, Signals, Silent};
+use metasense::engine::{self, Control, Options, RerunPolicy, Silent};
 use metasense::exit::Exit;
 use metasense::plan::Trial;
 use metasense::print_line;
 use metasense::scheduler::{Outcome, Settings};
+use metasense::signals::Signals;
 use metasense::store::Store;
 use metasense_schemas::record::Parts;
 use metasense_schemas::spec::{SweepSpec, TrialSpec};

@@ -8,13 +8,14 @@ mod course;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use metasense::analysis::numbers::network_mean;
 use metasense::cli::{Error, Format, print_rows, read_plan};
 use metasense::exit::Exit;
 use metasense::look::row;
 use metasense::look::{Axis, Plot, SERIES, Scale, Table, file};
 use metasense::say;
 use metasense_lab::prepare::evaluate_designs;
-use metasense_schemas::record::{BodyEvaluation, mean};
+use metasense_schemas::record::BodyEvaluation;
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
 use metasense_worker::run::Failure;
 use serde_json::{Value, json};
@@ -109,11 +110,11 @@ fn initial_design(spec: &TrialSpec) -> Result<Vec<f64>, Error> {
 }
 
 fn holdout(body: &BodyEvaluation) -> Option<f64> {
-    mean(&body.networks, |network| network.error_holdout)
+    network_mean(&body.networks, |network| network.error_holdout)
 }
 
 fn test(body: &BodyEvaluation) -> Option<f64> {
-    mean(&body.networks, |network| network.error_test)
+    network_mean(&body.networks, |network| network.error_test)
 }
 
 /// Plots JSON lines as an SVG file, one line per protocol.

@@ -101,8 +101,8 @@ fn write_spec_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> 
 /// Files that a spec names.
 fn files_of(text: &str) -> Vec<String> {
     let mut found = Vec::new();
-    if let Ok(table) = text.parse::<toml::Table>() {
-        each_file(&mut toml::Value::Table(table), &mut |file| found.push(file.clone()));
+    if let Ok(mut table) = text.parse::<toml::Table>() {
+        each_file(&mut table, &mut |file| found.push(file.clone()));
     }
     found
 }

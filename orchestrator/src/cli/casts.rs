@@ -55,7 +55,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 fn read_variation(file: &Path) -> Result<Variation, Error> {
     let text = std::fs::read_to_string(file).map_err(Error::unreadable(file))?;
-    Ok(Source::new(file, text)?.parse_as::<VariationFile>()?.variation)
+    Ok(Source::new(file, text)?.parse::<VariationFile>()?.variation)
 }
 
 fn evaluate_casts(

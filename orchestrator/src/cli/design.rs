@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use super::named::Spec;
 use super::run::{RunConfig, Running, run};
 use super::{Error, Format, log, print_rows};
-use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
 use crate::reader::Reader;
@@ -13,6 +12,7 @@ use crate::report::search::{COLUMNS, SearchState};
 use crate::rounds::search;
 use crate::rounds::space::Space;
 use crate::scheduler::Outcome;
+use crate::signals::Signals;
 use tokio::sync::Notify;
 
 /// Searches a sweep for the cheapest design that meets the requirement in its [goal]

@@ -17,6 +17,7 @@ use crate::control::ControlError;
 use crate::engine::EngineError;
 use crate::exit::Exit;
 use crate::files::host;
+use crate::signals::SignalError;
 use crate::store::StoreError;
 
 /// The reason why a command failed.
@@ -75,6 +76,9 @@ pub enum Error {
     /// A shard's database failed.
     #[error(transparent)]
     Home(#[from] HomeError),
+    /// Signals cannot be received.
+    #[error(transparent)]
+    Signals(#[from] SignalError),
     /// Controlling a run failed.
     #[error(transparent)]
     Control(#[from] ControlError),
@@ -132,7 +136,7 @@ impl Error {
             | Self::Design(_)
             | Self::Measured(_)
             | Self::Unreadable { .. } => Exit::BadInput,
-            Self::Store(_) | Self::Io { .. } | Self::Output(_) => Exit::Io,
+            Self::Store(_) | Self::Io { .. } | Self::Output(_) | Self::Signals(_) => Exit::Io,
         }
     }
 

@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
-use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation, TrialResult, mean, most_above};
+use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation, TrialResult};
 use tokio::sync::Notify;
 
 use super::point::point_in_words;
 use super::{duration, is_live};
+use crate::analysis::numbers::{most_above, network_mean};
 use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::exit::remedy;
@@ -219,7 +220,7 @@ impl Watch for Live<'_> {
 /// Mean held-out error, with the median over samples and the number of samples above 100 %, if any.
 fn percent(body: &BodyEvaluation) -> String {
     let percent = |value: f64| format!("{value:.2} %");
-    let mean = |of: fn(&NetworkEvaluation) -> Option<f64>| mean(&body.networks, of).map(percent);
+    let mean = |of: fn(&NetworkEvaluation) -> Option<f64>| network_mean(&body.networks, of).map(percent);
     let above = most_above(&body.networks).filter(|above| *above > 0);
     let above =
         above.map_or(String::new(), |above| format!(", {} above 100 %", counted(above as usize, "sample")));

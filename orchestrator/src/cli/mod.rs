@@ -64,9 +64,9 @@ use std::sync::OnceLock;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use rustix::process::{Signal, set_parent_process_death_signal};
 
-use crate::engine::ignores_hangup;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::Plan;
+use crate::signals::ignores_hangup;
 use metasense_worker::{limits, process};
 
 pub use crate::look::{Format, print_rows};

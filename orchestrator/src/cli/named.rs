@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use metasense_lab::measured::{self, Measured};
 use metasense_lab::simulate;
-use metasense_schemas::spec::TrialSpec;
+use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use metasense_source::Source;
 use metasense_worker::design::Feasible;
 use metasense_worker::memory;
@@ -291,7 +291,7 @@ impl Named {
 
     /// The trial, if its body is an external one.
     pub async fn external(&self) -> Result<Option<TrialSpec>, Error> {
-        if !self.is_database() && self.spec().source()?.parse()?.body.kind.is_polygons() {
+        if !self.is_database() && self.spec().source()?.parse::<SweepSpec>()?.body.kind.is_polygons() {
             return Ok(None);
         }
         Ok(Some(self.read().await?.1).filter(|trial| !trial.body.kind.is_polygons()))

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use metasense_lab::cost;
-use metasense_schemas::record::TrialErrors;
 use metasense_schemas::spec::Run;
 use metasense_source::Source;
 use metasense_worker::limits::{Needs, check};
@@ -17,16 +16,19 @@ use super::pages::Pages;
 use super::results::{Results, print_results};
 use super::simd::Simd;
 use super::{Error, Format, end_with, log, merge};
+use crate::analysis::until::TrialErrors;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
-use crate::engine::{self, Control, EngineError, GRACE, Options, Reread, RerunPolicy, Signals};
+use crate::engine::{self, Control, EngineError, GRACE, Options, Reread, RerunPolicy};
 use crate::exit::{Exit, chain};
 use crate::plan::{GRACE_MAX, Plan, Trial, counted};
 use crate::rounds::{Runs, rounds};
 use crate::scheduler::{Outcome, Settings};
-use crate::store::{RunPlan, Store, StoreError, wait_for_locks};
+use crate::signals::Signals;
+use crate::sql::wait_for_locks;
+use crate::store::{RunPlan, Store, StoreError};
 
 /// Runs the trials of a spec, or resumes an earlier run
 ///

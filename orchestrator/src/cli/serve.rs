@@ -8,10 +8,10 @@ use tokio::net::TcpListener;
 
 use super::{Error, end_with};
 use crate::cluster::home::attempts;
-use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::reader::Reader;
 use crate::serve::{Address, ServerState, Source, Token, serve};
+use crate::signals::Signals;
 
 /// Shows databases in a browser, live, until Ctrl-C
 ///

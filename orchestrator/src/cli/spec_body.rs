@@ -5,7 +5,7 @@ use metasense_source::{Source, SpecError};
 use metasense_worker::design::{Feasible, Layout, Limits};
 use metasense_worker::problem::{self, Invalid, Panel};
 
-use crate::plan::{check_placements, combinations, layout, placement, with_design, with_file};
+use crate::plan::{check_placements, combinations, layout, located, placement, with_design, with_file};
 
 /// A single body of a spec, for commands about designs rather than trials.
 pub struct SpecBody {
@@ -33,8 +33,8 @@ impl SpecBody {
     /// # Errors
     /// For the first key that is unknown or has an impossible value.
     pub fn new(source: &Source) -> Result<Option<Self>, SpecError> {
-        let sweep = source.parse()?;
-        let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+        let sweep: SweepSpec = source.parse()?;
+        let located = located(source);
         problem::external::polygons(&sweep.body).map_err(located)?;
         let mut combinations = combinations(&sweep, source)?;
         let first = combinations.swap_remove(0).spec;
@@ -49,7 +49,7 @@ impl SpecBody {
         }
         let (first, _) = problem::scale_to_size(&with_file(&first, source)?).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
-        let design = with_design("body.design", first.body.design.as_ref(), &layout, source)?;
+        let design = with_design("body.design", first.body.design.clone(), &layout, source)?;
         let body = Body { design, ..first.body.clone() };
         let limits = problem::limits(&first.feasible).map_err(located)?;
         let initial = problem::initial_design(&body, &layout, limits).map_err(located)?;

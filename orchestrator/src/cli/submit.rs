@@ -20,11 +20,11 @@ use crate::cluster::scheduler::{QueueCommands, SchedulerName, SubmitOption};
 use crate::cluster::state::{State, states};
 use crate::cluster::submit::{MERGE, Submission, estimate, line, planned, seconds};
 use crate::cluster::{Assignment, Shard, ranges};
-use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files;
 use crate::plan::{Plan, Trial, counted};
 use crate::reader::Reader;
+use crate::signals::Signals;
 
 /// Runs a sweep as shards on a cluster or on several machines, and merges them
 ///

@@ -2,15 +2,14 @@
 
 use std::time::Instant;
 
-use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, mean, most_above,
-};
+use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord};
 use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
 use serde_json::json;
 
 use super::named::Named;
 use super::simd::Simd;
 use super::{Error, Format, duration, end_on_signal, print_rows};
+use crate::analysis::numbers::{most_above, network_mean};
 use crate::exit::Exit;
 use crate::look::Table;
 use crate::provenance;
@@ -58,12 +57,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     add("hash", json!(hash));
     for (name, error) in ERRORS {
-        add(&format!("{name}_initial"), json!(mean(&result.initial.networks, *error)));
-        add(&format!("{name}_optimised"), json!(mean(&result.optimised.networks, *error)));
+        add(&format!("{name}_initial"), json!(network_mean(&result.initial.networks, *error)));
+        add(&format!("{name}_optimised"), json!(network_mean(&result.optimised.networks, *error)));
     }
     add("holdout_above_initial", json!(most_above(&result.initial.networks)));
     add("holdout_above_optimised", json!(most_above(&result.optimised.networks)));
-    let long = |body: &BodyEvaluation| mean(&body.long, |n| n.error_holdout);
+    let long = |body: &BodyEvaluation| network_mean(&body.long, |n| n.error_holdout);
     if !result.initial.long.is_empty() {
         add("long_holdout_error_initial", json!(long(&result.initial)));
         add("long_holdout_error_optimised", json!(long(&result.optimised)));

@@ -19,7 +19,7 @@ use tokio::sync::Notify;
 use super::Shard;
 use super::merge::{self, Extent, MergeError};
 use crate::files;
-use crate::store::{self, StoreError};
+use crate::store::StoreError;
 
 /// Pause between attempts at the last copy, and between checks for an earlier attempt that is ending.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -103,7 +103,7 @@ impl Home {
         let folder = File::open(ours).map_err(at)?;
         // Continue on disks without locks.
         let taken = matches!(folder.try_lock(), Err(TryLockError::WouldBlock));
-        if taken || !store::is_still(&folder, ours) {
+        if taken || !files::is_still(&folder, ours) {
             return Err(StoreError::InUse(self.live.clone()).into());
         }
         self.alone = Some(folder);
@@ -191,7 +191,7 @@ impl Home {
     fn set_aside(&self) -> Result<PathBuf, HomeError> {
         let aside = self.handed_in.with_extension("damaged");
         for end in ["-wal", ""] {
-            let (from, to) = (store::sidecar(&self.live, end), store::sidecar(&aside, end));
+            let (from, to) = (files::sidecar(&self.live, end), files::sidecar(&aside, end));
             let at = |source| HomeError::Folder { path: to.clone(), source };
             if from.exists() {
                 // A rename does not work between disks.
@@ -199,7 +199,7 @@ impl Home {
                 std::fs::remove_file(&from).map_err(at)?;
             }
         }
-        let _ = std::fs::remove_file(store::sidecar(&self.live, "-shm"));
+        let _ = std::fs::remove_file(files::sidecar(&self.live, "-shm"));
         Ok(aside)
     }
 

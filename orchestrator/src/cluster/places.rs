@@ -17,9 +17,9 @@ use tokio::task::JoinSet;
 
 use super::Shard;
 use super::submit::{line, quoted};
-use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files::{self, host};
+use crate::signals::Signals;
 
 /// Most starts of a shard that dies or whose host becomes unreachable.
 const MOST_TRIES: u32 = 3;

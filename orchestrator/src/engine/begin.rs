@@ -4,10 +4,11 @@ use std::collections::{HashMap, HashSet};
 
 use metasense_schemas::spec::SweepSpec;
 
-use super::Signals;
+use super::View;
 use crate::plan::Trial;
 use crate::provenance;
 use crate::scheduler::Prior;
+use crate::signals::Signals;
 use crate::store::{PriorProgress, Store, StoreError};
 
 /// Which finished trials run again.
@@ -21,9 +22,6 @@ pub struct RerunPolicy {
 
 /// Records a sweep with its trials and returns the open ones. `None`: a signal came first, and nothing new of the sweep was
 /// recorded.
-///
-/// # Errors
-/// If SQLite fails.
 pub async fn begin<'a>(
     store: &mut Store,
     (spec, text): (&SweepSpec, &str),
@@ -43,9 +41,6 @@ pub async fn begin<'a>(
 }
 
 /// Reopens finished trials among these.
-///
-/// # Errors
-/// If SQLite fails.
 pub async fn reopen(store: &mut Store, hashes: &[&str], again: RerunPolicy) -> Result<(), StoreError> {
     if again.failed {
         let reopened = store.reopen(hashes).await?;
@@ -68,6 +63,11 @@ pub(super) async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<(Vec<
     };
     let priors = trials.iter().map(prior).collect();
     Ok((priors, bodies))
+}
+
+/// Adds a trial to the progress of the run.
+pub(super) fn show(view: &mut View, trial: &Trial, prior: &Prior) {
+    view.add(trial, prior.body, prior.steps.unwrap_or(0), prior.trained);
 }
 
 /// Numbers of the trials' bodies, in order of appearance.

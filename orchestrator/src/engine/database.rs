@@ -3,32 +3,48 @@
 use std::time::{Duration, Instant};
 
 use super::{Engine, Event, Events};
-use crate::store::StoreError;
+use crate::store::{Presence, StoreError};
 
 /// Time between two checks.
 const LOOK: Duration = Duration::from_secs(1);
 /// Size of the write-ahead log at which the run warns (bytes). SQLite moves the log into the database every few MB unless a
 /// reader holds an older snapshot.
-pub(super) const LOG_LARGE: u64 = 256 << 20;
+const LOG_LARGE: u64 = 256 << 20;
+
+/// The files, and what was noticed about them.
+#[derive(Debug)]
+pub(super) struct Files {
+    presence: Presence,
+    checked: Instant,
+    /// Size of the write-ahead log at which to warn next (bytes).
+    warn_at: u64,
+}
+
+impl Files {
+    pub fn new(presence: Presence) -> Self {
+        Self { presence, checked: Instant::now(), warn_at: LOG_LARGE }
+    }
+}
 
 impl Engine<'_> {
     /// Ends the run if the database files have disappeared, so that the data can be saved. Warns if the log grows large.
     pub(super) fn check_database(&mut self, events: &mut Events) {
-        if self.last_check.elapsed() < LOOK {
+        if self.files.checked.elapsed() < LOOK {
             return;
         }
-        self.last_check = Instant::now();
+        self.files.checked = Instant::now();
         if self.store_error.is_none()
-            && let Some(lost) = self.presence.check()
+            && let Some(lost) = self.files.presence.check()
         {
             tracing::error!(?lost, "the database files were deleted, moved or replaced; the run ends");
             let saved = Err("the run ends".into());
-            self.store_error = Some(StoreError::Lost { path: self.presence.path().to_owned(), lost, saved });
+            self.store_error =
+                Some(StoreError::Lost { path: self.files.presence.path().to_owned(), lost, saved });
             events.push_back(Event::StoreBroken);
         }
-        let bytes = self.presence.log_bytes();
-        if bytes > self.log_warned {
-            self.log_warned = 2 * bytes;
+        let bytes = self.files.presence.log_bytes();
+        if bytes > self.files.warn_at {
+            self.files.warn_at = 2 * bytes;
             let text = format!(
                 "warning: the database's log (-wal) has grown to {} MB because another program keeps a read transaction open; it grows \
                  until that program ends",

@@ -1,16 +1,18 @@
 //! Opens, starts, observes and ends worker processes and their links. A process counts as lost when it has ended and all its
 //! messages are read.
 
+use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::reason::Reason;
-use metasense_schemas::wire::{LinkError, Start};
+use metasense_schemas::wire::{Lease, LinkError, Start};
 use metasense_worker::limits::{self, Needs};
 use metasense_worker::{process, simd};
+use tokio::sync::mpsc::Sender;
 
 use super::{Engine, Events};
-use crate::fleet::ProcessEvent;
-use crate::link::Channel;
+use crate::fleet::{Fleet, ProcessEvent};
+use crate::link::{Channel, LinkEvent, Runtime};
 use crate::scheduler::{Event, WorkerId};
 use crate::store::Level;
 
@@ -30,19 +32,33 @@ pub(super) struct Link {
     pub closed: bool,
 }
 
+/// Worker processes and their links.
+#[derive(Debug)]
+pub(super) struct Workers {
+    // Declared before `runtime`: processes must end before the directory that they use is removed.
+    pub fleet: Fleet,
+    pub links: HashMap<WorkerId, Link>,
+    pub runtime: Runtime,
+    pub link_sender: Sender<(WorkerId, LinkEvent)>,
+    /// Last lease of each worker.
+    pub leases: HashMap<WorkerId, Lease>,
+    /// The last error of a worker that has no trial.
+    pub last_words: String,
+}
+
 impl Engine<'_> {
     /// Creates the domain of a worker, whose process starts when the domain exists.
     pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
         let needs = Needs { workers: 1, threads: self.options.threads, files: &[] };
         let line = limits::check(&needs).map_err(|short| short.to_string()).and_then(|()| {
-            Channel::open(self.runtime.domain(worker), worker, self.link_sender.clone())
+            Channel::open(self.workers.runtime.domain(worker), worker, self.workers.link_sender.clone())
                 .map_err(|error| error.to_string())
         });
         match line {
             Ok(line) => {
                 let (started, cancelled, closed) = (false, false, false);
                 let link = Link { line, started, cancelled, ended: None, why: None, closed };
-                self.links.insert(worker, link);
+                self.workers.links.insert(worker, link);
             }
             Err(error) => self.misfire(worker, error, events),
         }
@@ -50,7 +66,7 @@ impl Engine<'_> {
 
     /// Prevents the start of a worker whose domain is still being created.
     pub(super) fn cancel(&mut self, worker: WorkerId) {
-        if let Some(link) = self.links.get_mut(&worker)
+        if let Some(link) = self.workers.links.get_mut(&worker)
             && !link.started
         {
             link.cancelled = true;
@@ -59,18 +75,18 @@ impl Engine<'_> {
 
     pub(super) fn broken(&mut self, worker: WorkerId, error: &LinkError) {
         tracing::error!(%worker, %error, "the link to the worker failed; killing the worker");
-        self.last_words = error.to_string();
+        self.workers.last_words = error.to_string();
         self.cancel(worker);
-        self.fleet.kill(worker);
+        self.workers.fleet.kill(worker);
     }
 
     pub(super) fn start(&mut self, worker: WorkerId, events: &mut Events) {
-        let Some(link) = self.links.get_mut(&worker) else { return };
+        let Some(link) = self.workers.links.get_mut(&worker) else { return };
         if link.cancelled {
             link.line.close();
             return;
         }
-        let domain = self.runtime.domain(worker);
+        let domain = self.workers.runtime.domain(worker);
         let start = Start {
             root: domain.root.to_string_lossy().into_owned(),
             prefix: domain.prefix,
@@ -81,8 +97,8 @@ impl Engine<'_> {
             simd: simd::name().into(),
         };
         link.started = true;
-        if let Err(error) = self.fleet.spawn(worker, &start) {
-            let line = self.links.remove(&worker);
+        if let Err(error) = self.workers.fleet.spawn(worker, &start) {
+            let line = self.workers.links.remove(&worker);
             if let Some(link) = line {
                 link.line.close();
             }
@@ -92,14 +108,14 @@ impl Engine<'_> {
 
     pub(super) fn misfire(&mut self, worker: WorkerId, error: String, events: &mut Events) {
         tracing::error!(%worker, error, "a worker could not be started");
-        self.last_words = error;
+        self.workers.last_words = error;
         events.push_back(Event::Lost(worker, Reason::WorkerExited(-1)));
     }
 
     pub(super) fn heard(&mut self, worker: WorkerId, heard: ProcessEvent, events: &mut Events) {
         match heard {
             // The line belongs to the current or last trial of the worker.
-            ProcessEvent::Line(line) => match self.leases.get(&worker) {
+            ProcessEvent::Line(line) => match self.workers.leases.get(&worker) {
                 Some(lease) => {
                     // the first line gives the error, later ones the location
                     if !line.is_empty() {
@@ -107,7 +123,7 @@ impl Engine<'_> {
                     }
                     self.pending_log.push((*lease, Level::Warn, line));
                 }
-                None => self.last_words = line,
+                None => self.workers.last_words = line,
             },
             ProcessEvent::End(reason) => self.ended(worker, reason, events),
         }
@@ -115,7 +131,7 @@ impl Engine<'_> {
 
     /// Handles the end of a process: it counts as lost after all its messages are read.
     fn ended(&mut self, worker: WorkerId, reason: Reason, events: &mut Events) {
-        if let Some(link) = self.links.get_mut(&worker) {
+        if let Some(link) = self.workers.links.get_mut(&worker) {
             link.ended = Some((reason, Instant::now()));
             link.line.close();
         }
@@ -123,7 +139,7 @@ impl Engine<'_> {
     }
 
     pub(super) fn lost(&mut self, worker: WorkerId, events: &mut Events) {
-        let Some(link) = self.links.get(&worker) else { return };
+        let Some(link) = self.workers.links.get(&worker) else { return };
         let reason = match link.ended {
             Some((reason, at)) if link.closed || at.elapsed() > LINK_GRACE => link.why.unwrap_or(reason),
             None if link.closed && !link.started => Reason::WorkerExited(-1),
@@ -132,13 +148,13 @@ impl Engine<'_> {
         if !link.closed {
             tracing::error!(%worker, "the link of a dead worker does not close; continuing without it");
         }
-        if self.last_words.is_empty() {
-            self.last_words = reason.to_string();
+        if self.workers.last_words.is_empty() {
+            self.workers.last_words = reason.to_string();
         }
         tracing::info!(%worker, %reason, "worker ended");
-        self.links.remove(&worker);
-        self.leases.remove(&worker);
-        self.fleet.forget(worker);
+        self.workers.links.remove(&worker);
+        self.workers.leases.remove(&worker);
+        self.workers.fleet.forget(worker);
         events.push_back(Event::Lost(worker, reason));
     }
 }

@@ -8,12 +8,12 @@ mod begin;
 mod clock;
 mod database;
 mod links;
-mod signals;
 mod spent;
 mod steer;
 mod watch;
 mod writer;
 
+use std::borrow::Cow;
 use std::collections::{HashMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,13 +27,13 @@ use metasense_worker::process;
 use tokio::sync::mpsc;
 
 pub use begin::{RerunPolicy, begin, reopen};
-pub use signals::{Signals, ignores_hangup};
 pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
 
 use begin::Bodies;
 use clock::Clock;
-use links::Link;
+use database::Files;
+use links::Workers;
 use spent::Ledger;
 use steer::PendingRequest;
 
@@ -46,7 +46,9 @@ use crate::provenance;
 use crate::scheduler::{
     self, Action, Event, Outcome, Payload, Phase, Prior, RecordKind, Settings, State, WorkerId,
 };
-use crate::store::{Level, Presence, Store, StoreError, hurry};
+use crate::signals::Signals;
+use crate::sql;
+use crate::store::{Level, Store, StoreError};
 use writer::{Arrays, Entry, QueuedRecord, WriterEvent};
 
 /// Time between two checks of deadlines and updates of the view.
@@ -107,9 +109,6 @@ pub enum EngineError {
     /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Signals cannot be received.
-    #[error("cannot wait for signals")]
-    Signals(#[source] std::io::Error),
     /// No worker starts.
     #[error("no worker process starts on {host}; the last one: {0}", host = host())]
     NoWorkers(String),
@@ -136,9 +135,10 @@ pub async fn run<'a>(
     limits::check(&Needs { workers, threads: options.threads, files: &[store.path()] })?;
     let (priors, bodies) = begin::priors(store, trials).await?;
     let state = State::new(settings.clone(), &priors);
+    let mut view = View::new(settings.workers, settings.paused);
+    trials.iter().zip(&priors).for_each(|(trial, prior)| begin::show(&mut view, trial, prior));
     store.set_provenance(provenance::this_machine(options.threads));
-    let presence = store.presence();
-    let runtime = Runtime::new()?;
+    let (files, runtime) = (Files::new(store.presence()), Runtime::new()?);
     let (heard_out, mut process_events) = mpsc::channel(QUEUE);
     let (link_sender, mut link_receiver) = mpsc::channel(QUEUE);
     let (queue, entries) = mpsc::channel(QUEUE);
@@ -152,31 +152,29 @@ pub async fn run<'a>(
 
     let mut engine = Engine {
         state,
-        view: View::new(trials, &priors, settings),
+        view,
         priors,
-        trials: trials.to_vec(),
+        trials: trials.iter().map(|trial| Cow::Borrowed(*trial)).collect(),
         work,
         options,
         began: Instant::now(),
         clock: Clock::start(),
-        fleet: Fleet::new(options.program.clone(), heard_out),
-        runtime,
-        links: HashMap::new(),
-        link_sender,
+        workers: Workers {
+            fleet: Fleet::new(options.program.clone(), heard_out),
+            links: HashMap::new(),
+            runtime,
+            link_sender,
+            leases: HashMap::new(),
+            last_words: String::new(),
+        },
         queue,
         bodies,
-        begun_at: HashMap::new(),
-        leases: HashMap::new(),
         pending_log: Vec::new(),
         details: HashMap::new(),
         spent: Ledger::new(),
-        due: Vec::new(),
         stale: 0,
-        presence,
-        last_check: Instant::now(),
-        log_warned: database::LOG_LARGE,
+        files,
         store_error: None,
-        last_words: String::new(),
         control,
         rereads,
         watch,
@@ -199,10 +197,10 @@ pub async fn run<'a>(
                 break outcome;
             }
         };
-        let Engine { view, state, stale, store_error, last_words, watch, .. } = engine;
+        let Engine { view, state, stale, store_error, workers, watch, .. } = engine;
         watch.end(&view, outcome);
-        let (workers, paused) = (state.workers(), state.is_paused());
-        let View { done, failed, given_up, .. } = view;
+        let last_words = workers.last_words;
+        let View { done, failed, given_up, workers, paused, .. } = view;
         let stopping = state.is_stopping();
         let summary = Summary { outcome, stopping, done, failed, given_up, stale, workers, paused };
         match (outcome, store_error) {
@@ -228,38 +226,23 @@ impl Payload for Records {
 struct Engine<'a> {
     state: State,
     priors: Vec<Prior>,
-    trials: Vec<&'a Trial>,
+    trials: Vec<Cow<'a, Trial>>,
     work: &'a dyn Fn(&Trial) -> String,
     options: &'a Options,
     began: Instant,
     clock: Clock,
-    // Declared before `runtime`: processes must end before the directory that they use is removed.
-    fleet: Fleet,
-    links: HashMap<WorkerId, Link>,
-    runtime: Runtime,
-    link_sender: mpsc::Sender<(WorkerId, LinkEvent)>,
+    workers: Workers,
     queue: mpsc::Sender<Entry>,
     bodies: Bodies,
-    /// Steps of trials before their last attempts, if any.
-    begun_at: HashMap<u32, u32>,
     view: View,
-    /// Last lease of each worker.
-    leases: HashMap<WorkerId, Lease>,
     /// Log lines that the writer does not have yet.
     pending_log: Vec<(Lease, Level, String)>,
     /// Error messages of attempts that have not ended.
     details: HashMap<Lease, String>,
     spent: Ledger,
-    /// Attempts whose CPU time must be recorded.
-    due: Vec<Lease>,
     stale: usize,
-    /// Presence of the database files, and the time of the last check.
-    presence: Presence,
-    last_check: Instant,
-    /// Size of the write-ahead log at which to warn next (bytes).
-    log_warned: u64,
+    files: Files,
     store_error: Option<StoreError>,
-    last_words: String,
     control: &'a Control,
     rereads: mpsc::UnboundedSender<steer::ReloadResult>,
     watch: &'a mut dyn Watch,
@@ -294,8 +277,8 @@ impl Engine<'_> {
             Action::End(outcome) => return Some(outcome),
             Action::Spawn(worker) => self.open(worker, events),
             Action::Assign(worker, lease) => {
-                self.leases.insert(worker, lease);
-                self.spent.begin(lease, worker, &self.fleet);
+                self.workers.leases.insert(worker, lease);
+                self.spent.begin(lease, worker, &self.workers.fleet);
                 self.record(QueuedRecord::Begin(lease)).await;
                 self.view.forecast.assigned(lease.trial, self.began.elapsed());
                 let prior = self.priors[lease.trial as usize];
@@ -311,14 +294,17 @@ impl Engine<'_> {
                 let prior = &mut self.priors[lease.trial as usize];
                 prior.steps = Some(checkpoint.step);
                 self.bodies.begun.insert(prior.body);
-                self.view.stepped(lease.trial, self.began.elapsed());
-                self.watch.step(self.trials[lease.trial as usize], &record);
+                self.view.steps += 1;
+                self.view.forecast.stepped(lease.trial, self.began.elapsed());
+                self.watch.step(&self.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
                 self.record(QueuedRecord::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, (result, arrays)) => {
                 self.details.remove(&lease);
-                self.view.finished(lease.trial, self.began.elapsed());
+                // counts as done once it is on disk
+                self.view.forecast.returned(lease.trial, true, self.began.elapsed());
+                self.view.forecast.settled(lease.trial);
                 self.record_spent(lease).await;
                 self.spent.end(lease);
                 self.record(QueuedRecord::Result(lease, result, arrays)).await;
@@ -328,22 +314,26 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
-                let trial = self.trials[lease.trial as usize];
+                let trial = &*self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
                 let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
-                if in_order {
-                    tracing::debug!(hash, attempt, %reason, "the trial was stopped on request");
-                } else if settled && reason == Reason::Cancelled {
-                    tracing::info!(hash, attempt, %reason, "the trial was cancelled");
-                } else if settled {
-                    tracing::error!(hash, attempt, %reason, remedy = remedy(reason), "the trial has failed");
-                } else {
-                    tracing::warn!(hash, attempt, %reason, "the attempt failed; the trial is retried");
+                match reason {
+                    _ if in_order => {
+                        tracing::debug!(hash, attempt, %reason, "the trial was stopped on request")
+                    }
+                    Reason::Cancelled if settled => {
+                        tracing::info!(hash, attempt, %reason, "the trial was cancelled")
+                    }
+                    _ if settled => {
+                        tracing::error!(hash, attempt, %reason, remedy = remedy(reason), "the trial has failed");
+                    }
+                    _ => tracing::warn!(hash, attempt, %reason, "the attempt failed; the trial is retried"),
                 }
-                let detail =
-                    self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
-                let text = format!("{reason}{detail}");
+                let text = match self.details.remove(&lease) {
+                    Some(detail) => format!("{reason}: {detail}"),
+                    None => reason.to_string(),
+                };
                 let level = if reason == Reason::Cancelled { Level::Info } else { Level::Error };
                 if !in_order {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled, &text);
@@ -354,26 +344,27 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Failure(lease, reason, settled && reason != Reason::Paused)).await;
             }
             Action::RecordCancelled(lease) => {
-                let trial = self.trials[lease.trial as usize];
+                let trial = &*self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.began.elapsed());
                 tracing::info!(trial.hash, "the trial was cancelled before an attempt");
                 self.record(QueuedRecord::Cancelled(lease)).await;
             }
             Action::Answer(asker, answer) => self.answered(asker, answer),
             Action::AskStop(worker) => {
-                if let (Some(link), Some(&lease)) = (self.links.get(&worker), self.leases.get(&worker))
+                if let (Some(link), Some(&lease)) =
+                    (self.workers.links.get(&worker), self.workers.leases.get(&worker))
                     && !link.line.send(&ToWorker::Stop(lease)).is_ok_and(|sent| sent)
                 {
-                    self.fleet.kill(worker);
+                    self.workers.fleet.kill(worker);
                 }
             }
             Action::Close(worker) => {
                 self.cancel(worker);
-                self.fleet.close(worker);
+                self.workers.fleet.close(worker);
             }
             Action::Kill(worker) => {
                 self.cancel(worker);
-                self.fleet.kill(worker);
+                self.workers.fleet.kill(worker);
             }
             Action::CountStale(lease) => {
                 self.stale += 1;
@@ -383,11 +374,11 @@ impl Engine<'_> {
         None
     }
 
-    /// Queues a record; waits while the queue is full. Does nothing after the store has failed.
     async fn record(&mut self, write: QueuedRecord) {
         self.enqueue(Entry::Write(write)).await;
     }
 
+    /// Queues an entry; waits while the queue is full. Does nothing after the store has failed.
     async fn enqueue(&mut self, entry: Entry) {
         if self.store_error.is_none() {
             let _ = self.queue.send(entry).await;
@@ -399,20 +390,20 @@ impl Engine<'_> {
             self.record(QueuedRecord::Log(lease, level, text)).await;
         }
         if self.has_room() {
-            for lease in std::mem::take(&mut self.due) {
+            for lease in std::mem::take(&mut self.spent.due) {
                 self.record_spent(lease).await;
             }
         }
     }
 
     async fn record_spent(&mut self, lease: Lease) {
-        if let Some(seconds) = self.spent.grown_seconds(lease, &self.fleet) {
+        if let Some(seconds) = self.spent.grown_seconds(lease, &self.workers.fleet) {
             self.record(QueuedRecord::Spent(lease, seconds)).await;
         }
     }
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
-        let trial = self.trials[lease.trial as usize];
+        let trial = &*self.trials[lease.trial as usize];
         let job = ToWorker::Job {
             lease,
             work: (self.work)(trial),
@@ -421,12 +412,12 @@ impl Engine<'_> {
             pause: trial.pause,
             hash: trial.hash.clone(),
         };
-        let Some(link) = self.links.get_mut(&worker) else { return };
+        let Some(link) = self.workers.links.get_mut(&worker) else { return };
         match link.line.send(&job) {
             Ok(true) => {}
             Ok(false) => {
                 tracing::error!(%worker, "the worker does not read its messages; killing it");
-                self.fleet.kill(worker);
+                self.workers.fleet.kill(worker);
             }
             Err(error) => {
                 tracing::error!(%worker, %error, "sending a job failed; killing the worker");
@@ -436,7 +427,7 @@ impl Engine<'_> {
                     _ => None,
                 };
                 self.details.insert(lease, error.to_string());
-                self.fleet.kill(worker);
+                self.workers.fleet.kill(worker);
             }
         }
     }
@@ -444,14 +435,14 @@ impl Engine<'_> {
     fn word(&mut self, worker: WorkerId, word: LinkEvent, events: &mut Events) {
         match word {
             LinkEvent::Open => self.start(worker, events),
-            LinkEvent::Message(message, arrays) => self.message(worker, *message, arrays, events),
+            LinkEvent::Message(message, arrays) => events.extend(self.message(worker, *message, arrays)),
             LinkEvent::Beat(progress) => {
                 let lease = Lease { trial: progress.trial, attempt: progress.attempt };
                 events.push_back(Event::Beat(worker, lease));
             }
             LinkEvent::Broken(error) => self.broken(worker, &error),
             LinkEvent::Closed => {
-                if let Some(link) = self.links.get_mut(&worker) {
+                if let Some(link) = self.workers.links.get_mut(&worker) {
                     link.closed = true;
                 }
                 self.lost(worker, events);
@@ -459,19 +450,20 @@ impl Engine<'_> {
         }
     }
 
+    /// The event of a message.
     fn message(
         &mut self,
         worker: WorkerId,
         message: ToOrchestrator,
         sample: Option<Sample>,
-        events: &mut Events,
-    ) {
-        events.push_back(match message {
+    ) -> Option<Event<Records>> {
+        Some(match message {
             ToOrchestrator::Hello { build, pid } if build != process::build() => {
                 tracing::error!(%worker, pid, build, "the worker is of another build; killing it");
-                self.last_words = format!("the worker is build {build}, this program is build {}", process::build());
-                self.fleet.kill(worker);
-                return;
+                self.workers.last_words =
+                    format!("the worker is build {build}, this program is build {}", process::build());
+                self.workers.fleet.kill(worker);
+                return None;
             }
             ToOrchestrator::Hello { .. } => Event::Up(worker),
             ToOrchestrator::Step(lease, record, checkpoint) => {
@@ -502,20 +494,20 @@ impl Engine<'_> {
                 let paused = due.zip(done).is_some_and(|(due, done)| done >= due);
                 Event::Failed(worker, lease, if paused { Reason::Paused } else { Reason::Stopped })
             }
-        });
+        })
     }
 
     fn written(&mut self, word: WriterEvent, events: &mut Events) {
         match word {
             WriterEvent::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
             WriterEvent::Done(lease, result) => {
-                self.view.done();
-                self.watch.done(self.trials[lease.trial as usize], &result);
+                self.view.done += 1;
+                self.watch.done(&self.trials[lease.trial as usize], &result);
                 events.push_back(Event::Recorded(lease, RecordKind::Result));
             }
             WriterEvent::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
-                    let trial = self.trials[lease.trial as usize];
+                    let trial = &*self.trials[lease.trial as usize];
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
                     let text = format!("restarted, because the checkpoint cannot be used: {why}");
@@ -525,10 +517,6 @@ impl Engine<'_> {
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
                     let step = checkpoint.as_ref().map(|checkpoint| checkpoint.step);
                     self.priors[lease.trial as usize].steps = step;
-                    match step {
-                        Some(step) => self.begun_at.insert(lease.trial, step),
-                        None => self.begun_at.remove(&lease.trial),
-                    };
                     let whole = checkpoint.as_ref().is_none_or(|checkpoint| checkpoint.comparison.is_none());
                     self.view.forecast.goes_on(lease.trial, step.unwrap_or(0), whole);
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
@@ -550,14 +538,12 @@ impl Engine<'_> {
 
     fn tick(&mut self, events: &mut Events) {
         let late: Vec<_> =
-            self.links.iter().filter(|(_, link)| link.ended.is_some()).map(|(id, _)| *id).collect();
+            self.workers.links.iter().filter(|(_, link)| link.ended.is_some()).map(|(id, _)| *id).collect();
         late.into_iter().for_each(|worker| self.lost(worker, events));
-        if self.due.is_empty() {
-            self.due = self.spent.tick(&self.fleet);
-        }
+        self.spent.tick(&self.workers.fleet);
         self.check_database(events);
         if self.state.is_stopping() {
-            hurry();
+            sql::hurry();
         }
         self.view.busy = self.state.busy();
         self.view.elapsed = self.began.elapsed();

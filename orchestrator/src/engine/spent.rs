@@ -27,13 +27,15 @@ struct AttemptCpu {
 #[derive(Debug)]
 pub(super) struct Ledger {
     attempts: HashMap<Lease, AttemptCpu>,
+    /// Attempts whose seconds must be recorded.
+    pub due: Vec<Lease>,
     looked: Instant,
     recorded: Instant,
 }
 
 impl Ledger {
     pub fn new() -> Self {
-        Self { attempts: HashMap::new(), looked: Instant::now(), recorded: Instant::now() }
+        Self { attempts: HashMap::new(), due: Vec::new(), looked: Instant::now(), recorded: Instant::now() }
     }
 
     pub fn begin(&mut self, lease: Lease, worker: WorkerId, fleet: &Fleet) {
@@ -53,17 +55,16 @@ impl Ledger {
         (spent.seconds > before).then_some(spent.seconds)
     }
 
-    /// Measures all processes every `LOOK`; every `RECORD`, returns the attempts whose seconds must be recorded.
-    pub fn tick(&mut self, fleet: &Fleet) -> Vec<Lease> {
+    /// Measures all processes every `LOOK`; all attempts are due every `RECORD`.
+    pub fn tick(&mut self, fleet: &Fleet) {
         if self.looked.elapsed() >= LOOK {
             self.looked = Instant::now();
             self.attempts.values_mut().for_each(|spent| spent.look(fleet));
         }
-        if self.recorded.elapsed() < RECORD {
-            return Vec::new();
+        if self.due.is_empty() && self.recorded.elapsed() >= RECORD {
+            self.recorded = Instant::now();
+            self.due = self.attempts.keys().copied().collect();
         }
-        self.recorded = Instant::now();
-        self.attempts.keys().copied().collect()
     }
 }
 

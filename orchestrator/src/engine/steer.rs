@@ -1,14 +1,15 @@
 //! Handles commands to a run: passes them to the scheduler as events and returns its answers.
 
+use std::borrow::Cow;
+use std::cell::RefCell;
 use std::collections::HashSet;
 use std::fmt;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
-use metasense_source::{HashError, position_of};
-
-use super::Engine;
 use super::writer::{Entry, NewTrials};
+use super::{Engine, begin};
 use crate::control::{Command, Listener, Reply, Request};
+use crate::hashes::position_of;
 use crate::plan::{Plan, Trial, counted};
 use crate::scheduler::{Event, Steer, SteerAnswer};
 
@@ -16,7 +17,8 @@ use crate::scheduler::{Event, Steer, SteerAnswer};
 pub struct Control {
     listener: Option<Listener>,
     reread: Arc<Reread>,
-    plans: Plans,
+    /// Plans that were read during the run.
+    plans: RefCell<Vec<Arc<Plan>>>,
 }
 
 /// Reads the spec again; the error is text for people.
@@ -25,7 +27,7 @@ pub type Reread = dyn Fn() -> Result<Plan, String> + Send + Sync;
 impl Control {
     /// Takes commands from a listener, if any.
     pub fn new(listener: Option<Listener>, reread: Arc<Reread>) -> Self {
-        Self { listener, reread, plans: Plans::default() }
+        Self { listener, reread, plans: RefCell::default() }
     }
 
     /// Takes no commands.
@@ -35,16 +37,11 @@ impl Control {
 
     /// The last plan that was read, starting from `first`, with the trials of earlier plans that it lacks appended.
     pub fn last_plan(&self, first: Plan) -> Plan {
-        let mut plan = first;
-        let mut kept = &self.plans;
-        while let Some((later, next)) = kept.0.get().map(Box::as_ref) {
-            let earlier = std::mem::replace(&mut plan, (**later).clone());
+        self.plans.borrow().iter().fold(first, |earlier, later| {
             let own: HashSet<&str> = later.trials.iter().map(|trial| trial.hash.as_str()).collect();
             let gone = earlier.trials.into_iter().filter(|trial| !own.contains(trial.hash.as_str()));
-            plan.trials.extend(gone);
-            kept = next;
-        }
-        plan
+            Plan { trials: later.trials.iter().cloned().chain(gone).collect(), ..Plan::clone(later) }
+        })
     }
 
     pub(super) async fn next(&self) -> Option<Request> {
@@ -55,19 +52,6 @@ impl Control {
 impl fmt::Debug for Control {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Control").field("listener", &self.listener).finish_non_exhaustive()
-    }
-}
-
-/// Plans of reloads, as a linked list: they stay in memory, because the run borrows their trials.
-#[derive(Default)]
-struct Plans(OnceLock<Box<(Arc<Plan>, Plans)>>);
-
-impl Plans {
-    fn keep(&self, plan: Arc<Plan>) -> &Plan {
-        match self.0.get() {
-            Some(known) => known.1.keep(plan),
-            None => &self.0.get_or_init(|| Box::new((plan, Self::default()))).0,
-        }
     }
 }
 
@@ -93,11 +77,13 @@ impl Engine<'_> {
             Command::Resume => Steer::Resume,
             Command::Stop => Steer::Stop,
             Command::Workers(count) => Steer::Workers(*count),
-            Command::Cancel(hash) | Command::Next(hash) => match self.find(hash) {
-                Ok(trial) if matches!(request.command, Command::Next(_)) => Steer::Next(trial),
-                Ok(trial) => Steer::Cancel(trial),
-                Err(why) => return self.answer(request, false, why.to_string()),
-            },
+            Command::Cancel(hash) | Command::Next(hash) => {
+                match position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str())) {
+                    Ok(at) if matches!(request.command, Command::Next(_)) => Steer::Next(at as u32),
+                    Ok(at) => Steer::Cancel(at as u32),
+                    Err(why) => return self.answer(request, false, why.to_string()),
+                }
+            }
             Command::Reload => {
                 let (reread, read) = (Arc::clone(&self.control.reread), self.rereads.clone());
                 // Reading 10⁵ trials takes seconds. If the receiver is gone, the run has ended, and the client gets that
@@ -125,11 +111,6 @@ impl Engine<'_> {
         )
     }
 
-    /// The only trial of this run whose hash starts with `hash`.
-    fn find(&self, hash: &str) -> Result<u32, HashError> {
-        position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str())).map(|at| at as u32)
-    }
-
     /// Sends a reloaded plan to the writer, which records new trials.
     pub(super) async fn read(&mut self, (plan, request): ReloadResult) {
         match plan {
@@ -149,24 +130,23 @@ impl Engine<'_> {
         if vanished > 0 {
             asker.note += &format!("; no longer in the spec, but still run: {vanished}");
         }
-        drop(own);
-        let plan = self.control.plans.keep(fresh.plan);
         let mut priors = Vec::new();
         for (place, known) in fresh.trials {
-            let trial: &Trial = &plan.trials[place];
+            let trial: &Trial = &fresh.plan.trials[place];
             let prior = self.bodies.prior(trial, known, fresh.bodies.get(&trial.training));
             priors.push(prior);
-            self.view.add(trial, if prior.trained { u32::MAX } else { known.steps.unwrap_or(0) });
-            self.trials.push(trial);
+            begin::show(&mut self.view, trial, &prior);
+            self.trials.push(Cow::Owned(trial.clone()));
         }
+        self.control.plans.borrow_mut().push(fresh.plan);
         self.priors.extend(&priors);
         events.push_back(Event::Steer(Steer::Add(priors), asker));
     }
 
     /// Sends the scheduler's answer to the client.
     pub(super) fn answered(&mut self, asker: PendingRequest, answer: SteerAnswer) {
-        self.view.set_workers(self.state.workers());
-        self.view.paused = self.state.is_paused();
+        (self.view.workers, self.view.paused) = (self.state.workers(), self.state.is_paused());
+        self.view.forecast.set_workers(self.view.workers);
         let text = format!("{answer}{}", asker.note);
         self.answer(asker.request, !matches!(answer, SteerAnswer::Refused(_)), text);
     }

@@ -61,9 +61,6 @@ impl Fleet {
     }
 
     /// Starts a worker process.
-    ///
-    /// # Errors
-    /// If the system cannot start it.
     pub fn spawn(&mut self, worker: WorkerId, start: &Start) -> std::io::Result<()> {
         let argument = serde_json::to_string(start).expect("strings and numbers are JSON");
         let mut child = Command::new(&self.program)

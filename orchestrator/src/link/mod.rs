@@ -10,13 +10,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use metasense_schemas::wire::{
-    self, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress, Sample, Services, Sleeper,
-    ToOrchestrator, ToWorker, Waker,
+    self, BackpressureStrategy, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress,
+    Sample, Services, Sleeper, ToOrchestrator, ToWorker, Waker,
 };
 use metasense_worker::process::check_shared_memory;
 use tokio::sync::mpsc::Sender;
 
-pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, remove_stale};
+pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY};
+pub(crate) use runtime::{STEM, remove_segments};
 
 use crate::scheduler::WorkerId;
 
@@ -123,7 +124,7 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(LinkEvent) -> bool) -> Re
         sleeper: Services::sleeper(&services.wake_orchestrator)?,
     };
     let ports = Ports {
-        down: Services::sender(&services.down)?,
+        down: Services::sender(&services.down, BackpressureStrategy::DiscardData)?,
         wake_worker: Services::waker(&services.wake_worker)?,
         wake_self: Services::waker(&services.wake_orchestrator)?,
     };

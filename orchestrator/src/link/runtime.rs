@@ -1,4 +1,4 @@
-//! A run's directory in shared memory, and the removal of what dead runs left.
+//! A run's directory in shared memory.
 //!
 //! ```text
 //! /dev/shm/metasense-ID/lock      locked while the run lives
@@ -12,16 +12,15 @@ use std::fs::{DirBuilder, File};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub use metasense_schemas::wire::SHARED_MEMORY;
 
+use crate::files::fresh_mark;
+use crate::leftovers::remove_dead_runs;
 use crate::scheduler::WorkerId;
 
 /// Prefix of all our names.
-const STEM: &str = "metasense-";
-/// A directory without a lock file may belong to a run that is starting, up to this age.
-const BIRTH: Duration = Duration::from_secs(60);
+pub(crate) const STEM: &str = "metasense-";
 
 /// A run's directory in shared memory cannot be created.
 #[derive(Debug, thiserror::Error)]
@@ -49,20 +48,14 @@ pub struct Domain {
 
 impl Runtime {
     /// Creates a directory for a run, after removing those of dead runs.
-    ///
-    /// # Errors
-    /// If no directory can be created.
     pub fn new() -> Result<Self, RuntimeError> {
         let shared = PathBuf::from(SHARED_MEMORY);
-        let removed = remove_stale(&shared);
+        let removed = remove_dead_runs(&shared);
         if removed > 0 {
             tracing::warn!(removed, "removed files of dead runs from {SHARED_MEMORY}");
         }
-        let mut seed = u64::from(std::process::id()) << 32
-            | u64::from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().subsec_nanos());
         loop {
-            seed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29);
-            let name = format!("{STEM}{:010x}", seed & 0xff_ffff_ffff);
+            let name = format!("{STEM}{}", fresh_mark());
             let path = shared.join(&name);
             match DirBuilder::new().mode(0o700).create(&path) {
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => continue,
@@ -104,46 +97,11 @@ impl Domain {
     }
 }
 
-fn remove_segments(shared: &Path, prefix: &str) -> usize {
+/// Removes the segments whose names have this prefix, and returns their number.
+pub(crate) fn remove_segments(shared: &Path, prefix: &str) -> usize {
     let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
     let ours = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with(prefix);
     entries.flatten().filter(ours).filter(|entry| std::fs::remove_file(entry.path()).is_ok()).count()
-}
-
-/// Removes directories and segments of dead runs and returns their number. Those of other users stay.
-pub fn remove_stale(shared: &Path) -> usize {
-    let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
-    let mut removed = 0;
-    for entry in entries.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let Some(id) = name.strip_prefix(STEM) else { continue };
-        match id.split_once('_') {
-            Some((id, _)) => {
-                if !shared.join(format!("{STEM}{id}")).exists() {
-                    removed += usize::from(std::fs::remove_file(entry.path()).is_ok());
-                }
-            }
-            None => {
-                if let Some(_lock) = abandoned(&entry.path()) {
-                    removed += remove_segments(shared, &format!("{name}_"));
-                    removed += usize::from(std::fs::remove_dir_all(entry.path()).is_ok());
-                }
-            }
-        }
-    }
-    removed
-}
-
-/// Opens the lock, or without one the directory, of a dead run; `None` if the run may be alive.
-fn abandoned(directory: &Path) -> Option<File> {
-    match File::open(directory.join("lock")) {
-        Ok(lock) => lock.try_lock().is_ok().then_some(lock),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            let age = directory.metadata().ok()?.modified().ok()?.elapsed().ok()?;
-            (age > BIRTH).then(|| File::open(directory).ok())?
-        }
-        Err(_) => None,
-    }
 }
 
 #[cfg(test)]

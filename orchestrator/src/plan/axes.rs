@@ -12,51 +12,32 @@ pub(crate) struct Combination {
     excludes: Vec<Map<String, Value>>,
 }
 
-/// Remainder of an entry of `exclude` that matches axes, K and M.
-#[derive(Debug, Clone)]
-pub(super) struct Exclusion {
-    placement: Option<Value>,
-    seed: Option<Value>,
-}
-
-impl Exclusion {
-    /// Whether it excludes all placements and seeds.
-    pub fn is_total(&self) -> bool {
-        self.placement.is_none() && self.seed.is_none()
-    }
-
-    pub fn holds(&self, placement: usize, seed: u64) -> bool {
-        self.placement.as_ref().is_none_or(|v| v.as_u64() == Some(placement as u64))
-            && self.seed.as_ref().is_none_or(|v| v.as_u64() == Some(seed))
-    }
-}
+/// Placement and seed that an entry of `exclude` removes; `None`: all.
+pub(super) type Exclusion = [Option<u64>; 2];
 
 impl Combination {
+    /// The entries of `exclude` that match K and M.
     pub(super) fn exclusions(&self, panels: usize, sensors: usize) -> Vec<Exclusion> {
-        let agrees = |entry: &Map<String, Value>, key: &str, n: usize| {
-            entry.get(key).is_none_or(|v| v.as_u64() == Some(n as u64))
+        let number = |entry: &Map<String, Value>, key| entry.get(key).and_then(Value::as_u64);
+        let agrees = |entry: &&Map<String, Value>| {
+            number(entry, "panels").is_none_or(|n| n == panels as u64)
+                && number(entry, "sensors").is_none_or(|n| n == sensors as u64)
         };
-        self.excludes
-            .iter()
-            .filter(|entry| agrees(entry, "panels", panels) && agrees(entry, "sensors", sensors))
-            .map(|entry| Exclusion {
-                placement: entry.get("placement").cloned(),
-                seed: entry.get("seed").cloned(),
-            })
-            .collect()
+        let entries = self.excludes.iter().filter(agrees);
+        entries.map(|entry| ["placement", "seed"].map(|key| number(entry, key))).collect()
     }
 }
 
 /// All combinations of points and axis values. The last axis by name varies fastest, points slowest.
 pub(crate) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Combination>, SpecError> {
-    let axes: Vec<(&str, &Vec<Value>)> = spec.sweep.axes.iter().map(|(path, v)| (path.as_str(), v)).collect();
     check_points(spec, source)?;
     check_excludes(spec, source)?;
-    let none = [Map::new()];
-    let points = if spec.sweep.points.is_empty() { &none[..] } else { &spec.sweep.points };
+    let axes = &spec.sweep.axes;
     if axes.is_empty() && spec.sweep.points.is_empty() {
         return Ok(vec![Combination { spec: spec.clone(), excludes: spec.sweep.exclude.clone() }]);
     }
+    let none = [Map::new()];
+    let points = if spec.sweep.points.is_empty() { &none[..] } else { &spec.sweep.points };
     let mut base = spec.clone();
     base.sweep.exclude.clear();
     base.sweep.axes.clear();
@@ -67,7 +48,8 @@ pub(crate) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
         keys.iter().for_each(|(key, value)| set(&mut spec, key, value));
         serde_json::from_value::<SweepSpec>(spec)
     };
-    for (key, value) in axes.iter().flat_map(|(path, values)| values.iter().map(|v| (*path, v))) {
+    for (key, value) in axes.iter().flat_map(|(path, values)| values.iter().map(move |v| (path.as_str(), v)))
+    {
         spec_with_keys(&[(key, value)]).map_err(|e| refused(key, value, &e, source))?;
     }
     for point in points {
@@ -81,7 +63,7 @@ pub(crate) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
             }
         }
     }
-    let count: usize = axes.iter().map(|(_, values)| values.len()).product();
+    let count: usize = axes.values().map(Vec::len).product();
     let mut combinations = Vec::with_capacity(points.len() * count);
     for (linked, index) in points.iter().flat_map(|linked| (0..count).map(move |index| (linked, index))) {
         let mut point = base.clone();
@@ -109,13 +91,15 @@ fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             "sensors" => !sweep.sensors.is_empty(),
             path => sweep.axes.contains_key(path),
         };
+        let shown = if key.contains('.') { format!("\"{key}\"") } else { key.clone() };
+        let wrong = |remedy| {
+            Err(source.error_with(&format!("sweep.points.{shown}"), Some(&value.to_string()), remedy))
+        };
         if listed {
-            let (key, remedy) = (format!("sweep.points.{}", quoted(key)), "is also in a list of [sweep]");
-            return Err(source.error_with(&key, Some(&value.to_string()), remedy));
+            return wrong("is also in a list of [sweep]");
         }
         if !key.contains('.') && value.as_u64().is_none_or(|n| n == 0) {
-            let key = format!("sweep.points.{key}");
-            return Err(source.error_with(&key, Some(&value.to_string()), "must be a number of at least 1"));
+            return wrong("must be a number of at least 1");
         }
     }
     for (key, list) in [("panels", &sweep.panels), ("sensors", &sweep.sensors)] {
@@ -130,16 +114,11 @@ fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     Ok(())
 }
 
-/// A key in TOML syntax.
-fn quoted(key: &str) -> String {
-    if key.contains('.') { format!("\"{key}\"") } else { key.to_owned() }
-}
-
 /// The error for an impossible value of a key; for tables, only serde's message locates it.
 fn refused(path: &str, value: &Value, e: &serde_json::Error, source: &Source) -> SpecError {
     let message = match value {
         Value::Object(_) => e.to_string(),
-        _ => KnownKeys::of_spec().in_words(path, &e.to_string()),
+        _ => KnownKeys::of_type::<SweepSpec>().in_words(path, &e.to_string()),
     };
     source.error_with(path, Some(&value.to_string()), &message)
 }
@@ -150,20 +129,14 @@ fn without_axes(entry: &Map<String, Value>, chosen: &[(&str, &Value)]) -> Option
     for (path, value) in chosen {
         if path.contains('.')
             && let Some(wanted) = rest.remove(*path)
-            && !same(&wanted, value)
+            && wanted != **value
+            // numbers are equal by value: 1 and 1.0
+            && (wanted.as_f64().is_none() || wanted.as_f64() != value.as_f64())
         {
             return None;
         }
     }
     rest.keys().all(|key| !key.contains('.')).then_some(rest)
-}
-
-/// Whether two values are equal; compares numbers by value.
-fn same(a: &Value, b: &Value) -> bool {
-    match (a.as_f64(), b.as_f64()) {
-        (Some(a), Some(b)) => a == b,
-        _ => a == b,
-    }
 }
 
 fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
@@ -177,18 +150,18 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             return Err(source.error_with("sweep.exclude", Some("{}"), "an empty entry excludes all trials"));
         }
         for (key, value) in entry {
+            let wrong =
+                |remedy: String| Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
             if !known.contains(&key.as_str()) {
-                let remedy = match KnownKeys::nearest_of(key, known.iter().copied()) {
+                return wrong(match KnownKeys::nearest_of(key, known.iter().copied()) {
                     Some(nearest) => {
                         format!("unknown key {key:?}; the nearest known one here is {nearest:?}")
                     }
                     None => format!("unknown key {key:?}; known keys here: {}", known.join(", ")),
-                };
-                return Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
+                });
             }
             if !key.contains('.') && value.as_u64().is_none() {
-                let remedy = format!("{key:?} must be a number of at least 0");
-                return Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
+                return wrong(format!("{key:?} must be a number of at least 0"));
             }
         }
     }

@@ -97,17 +97,18 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     (brain, optimise, evaluation, variation.and_then(Variation::resolved))
 }
 
-/// Decoders that use a key.
-const CNN: &str = "\"cnn\"";
-const FORCES: &str = "\"linear\" and brain.task = \"forces\"";
+/// Messages about keys that have no effect.
+const NO_CNN: &str = "has no effect: no trial has brain.kind = \"cnn\"";
+const NO_TRAINER: &str = "has no effect: no trial has optimise.brain = \"cnn\"";
+const NO_LINEAR: &str = "has no effect: no trial has brain.kind = \"linear\" and brain.task = \"forces\"";
+const NO_OBJECTIVE: &str = "has no effect: no trial has an optimise.objective over casts";
+const NO_VARIATION: &str = "has no effect: no trial has a [variation]";
+const NO_CALIBRATION: &str = "has no effect: no trial has a [variation] and a decoder other than inverse";
 
 /// Whether a spec sets a key.
 type KeyPredicate<'a> = &'a dyn Fn(&SweepSpec) -> bool;
 
-/// Rejects keys that no decoder of the sweep uses.
-///
-/// # Errors
-/// Names the first such key.
+/// Rejects keys that no decoder of the sweep uses. The error names the first such key.
 pub(super) fn refuse_unread<'a>(
     specs: impl Iterator<Item = &'a SweepSpec> + Clone,
     source: &Source,
@@ -125,62 +126,48 @@ pub(super) fn refuse_unread<'a>(
     }
     let robust = any_spec(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());
     let varied = any_spec(&|spec| spec.variation.is_some());
-    let no_objective = "has no effect: no trial has an optimise.objective over casts";
-    let no_variation = "has no effect: no trial has a [variation]";
     let calibrates = varied && any_spec(&|spec| spec.brain.kind != BrainKind::Inverse);
-    let of_casts: [(&str, bool, KeyPredicate, &str); 5] = [
-        ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), no_objective),
-        ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), no_objective),
-        ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), no_variation),
-        (
-            "evaluation.records",
-            calibrates,
-            &|s| s.evaluation.records.is_some(),
-            "has no effect: no trial has a [variation] and a decoder other than inverse",
-        ),
-        (
-            "variation",
-            false,
-            &|s| s.variation.is_some_and(|v| v.resolved().is_none()),
-            "must contain at least one deviation",
-        ),
-    ];
-    if let Some((key, _, _, remedy)) = of_casts.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
-        return Err(source.error(key, remedy));
-    }
     let linear = any_spec(&estimates_forces_linearly);
     let network = any_spec(&|spec| kinds(spec).into_iter().any(has_network));
     let read_by_network = any_spec(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any_spec(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, KeyPredicate, &str); 16] = [
-        ("brain.preset", network, &|s| s.brain.preset.is_some(), CNN),
-        ("brain.width", network, &|s| s.brain.width.is_some(), CNN),
-        ("brain.kernels", network, &|s| s.brain.kernels.is_some(), CNN),
-        ("brain.dilations", network, &|s| s.brain.dilations.is_some(), CNN),
-        ("brain.causal", network, &|s| s.brain.causal.is_some(), CNN),
-        ("brain.memory", linear, &|s| s.brain.memory.is_some(), FORCES),
-        ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), FORCES),
-        ("brain.scaling", network, &|s| s.brain.scaling != default_brain.scaling, CNN),
-        ("brain.iterations", network, &|s| s.brain.iterations != default_brain.iterations, CNN),
-        ("brain.learning_rate", network, &|s| s.brain.learning_rate != default_brain.learning_rate, CNN),
-        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), CNN),
-        ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, CNN),
-        ("evaluation.batch", read_by_network, &|s| s.evaluation.batch.is_some(), CNN),
-        ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), CNN),
-        ("optimise.brain_iterations", trained_by_network, &|s| s.optimise.brain_iterations.is_some(), CNN),
+    let without_deviation = |spec: &SweepSpec| spec.variation.is_some_and(|v| v.resolved().is_none());
+    let keys: [(&str, bool, KeyPredicate, &str); 21] = [
+        ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), NO_OBJECTIVE),
+        ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), NO_OBJECTIVE),
+        ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), NO_VARIATION),
+        ("evaluation.records", calibrates, &|s| s.evaluation.records.is_some(), NO_CALIBRATION),
+        ("variation", false, &without_deviation, "must contain at least one deviation"),
+        ("brain.preset", network, &|s| s.brain.preset.is_some(), NO_CNN),
+        ("brain.width", network, &|s| s.brain.width.is_some(), NO_CNN),
+        ("brain.kernels", network, &|s| s.brain.kernels.is_some(), NO_CNN),
+        ("brain.dilations", network, &|s| s.brain.dilations.is_some(), NO_CNN),
+        ("brain.causal", network, &|s| s.brain.causal.is_some(), NO_CNN),
+        ("brain.memory", linear, &|s| s.brain.memory.is_some(), NO_LINEAR),
+        ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), NO_LINEAR),
+        ("brain.scaling", network, &|s| s.brain.scaling != default_brain.scaling, NO_CNN),
+        ("brain.iterations", network, &|s| s.brain.iterations != default_brain.iterations, NO_CNN),
+        ("brain.learning_rate", network, &|s| s.brain.learning_rate != default_brain.learning_rate, NO_CNN),
+        ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), NO_CNN),
+        ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, NO_CNN),
+        ("evaluation.batch", read_by_network, &|s| s.evaluation.batch.is_some(), NO_CNN),
+        ("evaluation.long_iterations", read_by_network, &|s| s.evaluation.long_iterations.is_some(), NO_CNN),
+        (
+            "optimise.brain_iterations",
+            trained_by_network,
+            &|s| s.optimise.brain_iterations.is_some(),
+            NO_TRAINER,
+        ),
         (
             "optimise.brain_learning_rate",
             trained_by_network,
             &|s| s.optimise.brain_learning_rate.is_some(),
-            CNN,
+            NO_TRAINER,
         ),
     ];
     match keys.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
-        Some((key, _, _, kind)) => {
-            let role = if key.starts_with("optimise.") { "optimise.brain" } else { "brain.kind" };
-            Err(source.error(key, &format!("has no effect: no trial has {role} = {kind}")))
-        }
+        Some((key, _, _, remedy)) => Err(source.error(key, remedy)),
         None => Ok(()),
     }
 }

@@ -6,10 +6,11 @@ use std::path::Path;
 use metasense_schemas::spec::{Design, Lattice, LayoutKind, Own, Stimuli, SweepSpec};
 use metasense_source::{Source, SpecError};
 use metasense_worker::design::{self, DesignError, Layout};
-use metasense_worker::problem::{self, Invalid};
+use metasense_worker::problem;
 use metasense_worker::{external, polygons, records};
 
 use super::check::distinct;
+use super::located;
 
 /// Advice about a file that does not exist.
 fn from_where(path: &Path) -> &'static str {
@@ -44,7 +45,7 @@ pub(crate) fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, 
     let (given, name) = match own {
         Own::Given(given) => (given, String::new()),
         Own::File(file) => {
-            let path = source.file.parent().unwrap_or(Path::new("")).join(&file);
+            let path = source.folder().join(&file);
             let read = polygons::read(&path).map_err(|e| unread("body.file", &file, &path, &e, source))?;
             (read, format!("{file:?}, "))
         }
@@ -58,8 +59,7 @@ pub(crate) fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, 
 
 /// The spec of an external body with what its program describes, and its design.
 pub(super) fn described(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
-    let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-    let (mut spec, folder) = (spec.clone(), source.file.parent().unwrap_or(Path::new("")));
+    let (mut spec, folder) = (spec.clone(), source.folder());
     for word in &mut spec.body.command {
         // a link stays one: an interpreter of a virtual environment is told by where it lies
         let file = std::path::absolute(folder.join(&*word)).ok().filter(|file| file.is_file());
@@ -76,29 +76,27 @@ pub(super) fn described(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, 
         let shifts = read.map_err(|e| unread("body.design", file, &path, &e, source))?;
         spec.body.design = Some(Design::Shifts { shifts });
     }
-    problem::external::described(&spec, description).map_err(located)
+    problem::external::described(&spec, description).map_err(located(source))
 }
 
 /// A design with the content of its file, so that the trial's hash depends on the content; other designs unchanged.
 pub(crate) fn with_design(
     key: &str,
-    design: Option<&Design>,
+    design: Option<Design>,
     layout: &Layout,
     source: &Source,
 ) -> Result<Option<Design>, SpecError> {
-    let Some(Design::File(file)) = design else { return Ok(design.cloned()) };
-    let path = source.file.parent().unwrap_or(Path::new("")).join(file);
-    let shifts = design::read(&path, layout).map_err(|e| unread(key, file, &path, &e, source))?;
+    let Some(Design::File(file)) = design else { return Ok(design) };
+    let path = source.folder().join(&file);
+    let shifts = design::read(&path, layout).map_err(|e| unread(key, &file, &path, &e, source))?;
     Ok(Some(Design::Shifts { shifts }))
 }
 
 /// The stimuli with absolute paths of their records, for workers, and the digest of the contents.
-pub(super) fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError> {
-    let mut stimuli = stimuli.clone();
+pub(super) fn with_records(mut stimuli: Stimuli, source: &Source) -> Result<Stimuli, SpecError> {
     if let Some(recorded) = &mut stimuli.recorded {
-        let folder = source.file.parent().unwrap_or(Path::new(""));
         for file in &mut recorded.files {
-            let path = folder.join(&*file);
+            let path = source.folder().join(&*file);
             let fault = |e: std::io::Error| {
                 let remedy = format!("cannot be read: {e}{}", from_where(&path));
                 source.error_with("stimuli.recorded.files", Some(&format!("{file:?}")), &remedy)
@@ -110,8 +108,7 @@ pub(super) fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli
             }
         }
         distinct(&recorded.files, "stimuli.recorded.files", source)?;
-        let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-        let digest = records::digest(recorded).map_err(located)?;
+        let digest = records::digest(recorded).map_err(located(source))?;
         recorded.digest.get_or_insert(digest);
     }
     Ok(stimuli)

@@ -1,16 +1,12 @@
 //! Plans with [until]: the grid to which the sweep may grow, and whether it can answer the questions.
 
-use metasense_schemas::record::TrialErrors;
 use metasense_schemas::spec::{SweepSpec, Until};
 use metasense_source::{Source, SpecError};
 
-use super::{Plan, Trial};
-use crate::analysis::until::{self, Decision};
+use super::Trial;
+use crate::analysis::until::unanswerable;
 
-/// The spec with the placements and seeds of `until.at_most`.
-///
-/// # Errors
-/// If a value of `[until]` is invalid.
+/// The spec with the placements and seeds of `until.at_most`; checks the values of `[until]`.
 pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
     let Some(until) = &spec.until else { return Ok(spec) };
     let part = |x: Option<f64>| x.is_none_or(|x| x > 0.0 && x.is_finite());
@@ -46,7 +42,7 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
         let remedy = "must be true: until.paired and until.fewer use the initial body";
         return Err(source.error_with("evaluation.initial", Some("false"), remedy));
     }
-    match until::unanswerable(until, trials) {
+    match unanswerable(until, trials) {
         Some(question) => {
             let what = match question.key() {
                 "until.complexity" => "two sizes of a body",
@@ -60,15 +56,5 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
             Err(source.error(question.key(), &remedy))
         }
         None => Ok(()),
-    }
-}
-
-impl Plan {
-    /// Decides from the results in the database where the questions stand, and which trials are needed, in the order of the
-    /// plan; `None` without [until].
-    pub fn decide(&self, found: &[TrialErrors], workers: u32) -> Option<(Decision, Vec<Trial>)> {
-        let decision = until::of_plan(self.spec.until.as_ref()?, &self.trials, found, workers);
-        let wanted = decision.wanted.iter().map(|&place| self.trials[place].clone()).collect();
-        Some((decision, wanted))
     }
 }

@@ -8,8 +8,9 @@ use libsqlite3_sys as ffi;
 
 use super::allow::{AccessLevel, allow};
 use super::{QueryResult, Reader};
+use crate::files::resolve_links;
 use crate::sql::{self, Scalar};
-use crate::store::{OPENING, StoreError, resolve_links};
+use crate::store::{OPENING, StoreError};
 
 /// Limits of an answer.
 #[derive(Debug, Clone, Copy)]

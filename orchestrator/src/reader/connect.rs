@@ -10,12 +10,10 @@ use sqlx::{ConnectOptions, Connection, Executor};
 use tempfile::TempDir;
 
 use super::allow::{AccessLevel, allow};
-use crate::files;
+use crate::files::{self, has_journal, is_still, sidecar};
 use crate::leftovers;
 use crate::sql;
-use crate::store::{
-    OPENING, StoreError, add_views, check_version, has_journal, is_not_opened, is_still, options, sidecar,
-};
+use crate::store::{OPENING, StoreError, add_views, check_version, is_not_opened, options};
 
 /// A read-only connection and what it reads.
 #[derive(Debug)]

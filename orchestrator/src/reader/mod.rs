@@ -21,10 +21,9 @@ use sqlx::{
 };
 
 use crate::cell;
-use crate::store::{
-    StoreError, check, has_journal, is_no_json, is_trouble, lock, npy_values, options, read_checkpoint,
-    resolve_links, sidecar,
-};
+use crate::files::{has_journal, resolve_links, sidecar};
+use crate::hashes::position_of;
+use crate::store::{StoreError, check, is_no_json, is_trouble, lock, npy_values, options, read_checkpoint};
 use allow::{AccessLevel, NOT_READING, TYPES_VIEW, allow};
 pub use confined::Limits;
 pub use connect::ask_unchanging;
@@ -33,7 +32,6 @@ pub(crate) use connect::{copy_with_journal, state_of};
 pub use looks::TrialProgress;
 pub use made::{CodeVersion, Nearest};
 use metasense_schemas::record::Checkpoint;
-use metasense_source::position_of;
 pub use stored::StoredTrial;
 
 /// A complete answer: column names, and rows; blobs are replaced by the text `blob of N bytes`.

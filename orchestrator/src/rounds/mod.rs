@@ -6,8 +6,7 @@ pub mod space;
 
 use std::path::Path;
 
-use metasense_schemas::record::TrialErrors;
-
+use crate::analysis::until::{self, TrialErrors};
 use crate::engine::RerunPolicy;
 use crate::plan::{Plan, Trial};
 use crate::scheduler::Outcome;
@@ -64,7 +63,10 @@ pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Opt
     let mut said = Vec::new();
     loop {
         let found = round.trial_results().await?;
-        let (decision, wanted) = round.plan().decide(&found, round.workers()).expect("it has questions");
+        let plan = round.plan();
+        let questions = plan.spec.until.as_ref().expect("the sweep has questions");
+        let decision = until::of_plan(questions, &plan.trials, &found, round.workers());
+        let wanted: Vec<Trial> = decision.wanted.iter().map(|&place| plan.trials[place].clone()).collect();
         for line in decision.standings.iter().map(ToString::to_string) {
             if !said.contains(&line) {
                 round.say(&line);

@@ -11,13 +11,13 @@ use metasense_schemas::spec::{
 use metasense_source::SpecError;
 pub use metasense_worker::RUNGS;
 use metasense_worker::evaluation_step_near;
-use metasense_worker::problem::{self, Invalid};
+use metasense_worker::problem;
 use serde_json::Value;
 
 use crate::analysis::goal::{Candidate, LEVELS, Setting};
 use crate::analysis::trial::CastDecoder;
 use crate::look::number;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, Trial, located};
 
 /// A trial that may meet the goal.
 #[derive(Debug, Clone)]
@@ -72,7 +72,7 @@ impl Space {
                 reader(&goal, &trial.spec).map_err(|remedy| plan.source.error("goal.reader", remedy))?;
             tasks_are_estimated(&goal, &trial.spec)
                 .map_err(|(key, remedy)| plan.source.error(&key, &remedy))?;
-            let wrong = |e: Invalid| plan.source.error_with(&e.key, Some(&e.value), &e.remedy);
+            let wrong = located(&plan.source);
             let demands = Demands::of_trial(&trial.spec).map_err(wrong)?;
             let weighed = goal.mass.is_some() || goal.size.is_some();
             let measures = if weighed { problem::measures(&trial.spec).map_err(wrong)? } else { [0.0; 2] };

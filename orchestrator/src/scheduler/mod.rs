@@ -5,6 +5,7 @@
 //! hold is counted and dropped. The scheduler passes records on without reading them ([`Payload`]).
 
 mod bodies;
+mod deaths;
 mod event;
 mod shortage;
 mod slot;
@@ -18,12 +19,14 @@ use std::collections::BTreeSet;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
+pub use deaths::{UNFIT_DEATHS, UNFIT_TRIALS};
 pub use event::{Action, Event, Outcome, Payload, RecordKind};
 pub use slot::WorkerId;
 pub use steer::{Steer, SteerAnswer, SteerRefusal};
 pub use trial::{Phase, Prior};
 
 use bodies::Bodies;
+use deaths::Deaths;
 use shortage::Shortage;
 use slot::{Slot, SlotState, with_workers};
 use trial::Trial;
@@ -32,7 +35,7 @@ use trial::Trial;
 pub type Millis = u64;
 
 /// Settings of a run.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Settings {
     /// Number of worker processes.
     pub workers: u32,
@@ -72,13 +75,9 @@ pub const RESULTS_MAX: usize = 64;
 /// Unrecorded records of the run at which no trial is assigned.
 pub const UNRECORDED_MAX: usize = 256;
 
-/// Consecutive deaths without a step after which the machine counts as unfit …
-pub const UNFIT_DEATHS: u32 = 10;
-/// … if they include this many trials.
-pub const UNFIT_TRIALS: usize = 3;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 enum Stopping {
+    #[default]
     No,
     Asked,
     AtOnce,
@@ -86,7 +85,7 @@ enum Stopping {
 }
 
 /// State of the scheduler.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct State {
     settings: Settings,
     now: Millis,
@@ -99,10 +98,7 @@ pub struct State {
     bodies: Bodies,
     unsettled: usize,
     unrecorded: usize,
-    /// Deaths without progress of any worker in between, their trials, and the reason of the last.
-    deaths: u32,
-    dead_trials: BTreeSet<u32>,
-    died_of: Option<Reason>,
+    deaths: Deaths,
     shortage: Shortage,
     stopping: Stopping,
     /// Time of the request to stop.
@@ -192,24 +188,8 @@ impl State {
     /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
-        let mut state = Self {
-            now: 0,
-            ready: BTreeSet::new(),
-            delayed: BTreeSet::new(),
-            unsettled: 0,
-            trials: Vec::with_capacity(trials.len()),
-            slots: vec![Slot::EMPTY; settings.workers as usize],
-            bodies: Bodies::default(),
-            unrecorded: 0,
-            deaths: 0,
-            dead_trials: BTreeSet::new(),
-            died_of: None,
-            shortage: Shortage::default(),
-            stopping: Stopping::No,
-            stopping_since: 0,
-            ended: false,
-            settings,
-        };
+        let slots = vec![Slot::EMPTY; settings.workers as usize];
+        let mut state = Self { slots, settings, ..Self::default() };
         state.add(trials);
         state
     }
@@ -303,23 +283,16 @@ impl State {
 
     /// Notes progress of a worker.
     fn note_progress(&mut self, worker: WorkerId) {
-        self.reset_deaths();
+        self.deaths = Deaths::default();
         if let Some(&mut Slot { work: SlotState::Busy { since, .. }, .. }) = self.slot(worker) {
             self.shortage.came_further(since);
         }
     }
 
-    /// Notes that trials can succeed on this machine.
-    fn reset_deaths(&mut self) {
-        self.deaths = 0;
-        self.dead_trials.clear();
-    }
-
     /// Why this machine is unfit, if so: repeated deaths, or a shortage while no busy worker can free anything.
     fn unfit(&self) -> Option<Reason> {
         let short = self.shortage.lasting(self.settings.retries).filter(|_| self.busy() == 0);
-        let died = self.deaths >= UNFIT_DEATHS && self.dead_trials.len() >= UNFIT_TRIALS;
-        short.or(self.died_of.filter(|_| died))
+        short.or(self.deaths.unfit())
     }
 
     /// Whether trials may be assigned and workers started now.
@@ -364,14 +337,14 @@ impl State {
         let (now, settings) = (self.now, &self.settings);
         let waited_out = self.stopping != Stopping::No && now > self.stopping_since + settings.grace;
         for (worker, slot) in with_workers(&mut self.slots) {
+            let too_long = |since| settings.time_limit.is_some_and(|limit| now > since + limit);
+            let is_silent = |beat| now > beat + settings.no_progress;
             let (lease, why) = match slot.work {
                 SlotState::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
-                SlotState::Busy { lease, beat, .. } if now > beat + settings.no_progress => {
+                SlotState::Busy { lease, beat, .. } if is_silent(beat) => {
                     (Some(lease), Some(Reason::NoProgress))
                 }
-                SlotState::Busy { lease, since, .. }
-                    if settings.time_limit.is_some_and(|limit| now > since + limit) =>
-                {
+                SlotState::Busy { lease, since, .. } if too_long(since) => {
                     (Some(lease), Some(Reason::TimeLimit))
                 }
                 SlotState::Starting { since } if now > since + STARTING_MAX => (None, None),
@@ -443,11 +416,9 @@ impl State {
         }
         if !by_request && !shortage && !stepped {
             if death {
-                self.deaths += 1;
-                self.dead_trials.insert(lease.trial);
-                self.died_of = Some(reason);
+                self.deaths.note(lease.trial, reason);
             } else if reason != Reason::Cancelled && reason != Reason::TimeLimit {
-                self.reset_deaths(); // the worker survived and reported the error
+                self.deaths = Deaths::default(); // the worker survived and reported the error
             }
         }
         self.unrecorded += 1;

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::VERSION;
-use metasense_source::HashError;
 use metasense_worker::limits::{Needs, check};
 
 use super::presence::FileLoss;
+use crate::files::sidecar;
+use crate::hashes::HashError;
 
 /// `doing` of errors before anything was started.
 pub(crate) const OPENING: &str = "opening";
@@ -224,7 +225,7 @@ pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
 
 /// The resource that is short, if SQLite cannot write or open a file; otherwise empty.
 fn shortage(path: &Path, source: &sqlx::Error) -> String {
-    let journal = super::sidecar(path, "-wal");
+    let journal = sidecar(path, "-wal");
     let needs = Needs { files: &[path, &journal], ..Needs::default() };
     let short = matches!(code(source), Some(10 | 13 | 14)).then(|| check(&needs).err()).flatten();
     short.map_or(String::new(), |short| format!(" ({short})"))

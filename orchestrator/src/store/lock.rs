@@ -1,33 +1,17 @@
-//! The files of a database: the target of links, files beside it, and the lock that excludes other writers.
+//! The lock that excludes other writers from a database.
 
 use std::fs::{File, OpenOptions, TryLockError};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
 use std::time::Duration;
 
 use super::{Result, StoreError};
+use crate::files::is_still;
 
 /// Attempts at a lock, and the pause between them: a reader that tidies up holds the lock for some milliseconds, a run for its
 /// whole duration.
 const ATTEMPTS: usize = 20;
 const PAUSE: Duration = Duration::from_millis(10);
-
-/// Resolves links: the write-ahead log lies beside the file, not beside the link.
-pub(crate) fn resolve_links(path: &Path) -> PathBuf {
-    path.canonicalize().unwrap_or_else(|_| path.to_owned())
-}
-
-/// Path of the file beside a database whose name has `end` appended; resolves links.
-pub(crate) fn sidecar(file: &Path, end: &str) -> PathBuf {
-    let mut name = resolve_links(file).into_os_string();
-    name.push(end);
-    name.into()
-}
-
-/// Whether a non-empty write-ahead log exists.
-pub(crate) fn has_journal(file: &Path) -> bool {
-    sidecar(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
-}
 
 /// Excludes other writers from a file while the handle exists; `create`: creates a missing file.
 ///
@@ -54,10 +38,4 @@ pub(crate) fn lock(path: &Path, create: bool) -> Result<File> {
         }
     }
     Err(StoreError::InUse(path.to_owned()))
-}
-
-/// Whether a path still refers to an open file.
-pub(crate) fn is_still(file: &File, path: &Path) -> bool {
-    let names = |m: std::fs::Metadata| (m.dev(), m.ino());
-    file.metadata().ok().map(names) == path.metadata().ok().map(names)
 }

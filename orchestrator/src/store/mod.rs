@@ -27,7 +27,6 @@ mod redo;
 mod result;
 mod runs;
 mod sweep;
-mod wait;
 mod write;
 
 use std::collections::HashMap;
@@ -40,19 +39,19 @@ use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
-use crate::{files, sql};
+use crate::files::{self, resolve_links};
+use crate::sql;
 
 pub(crate) use designs::NAME as KEPT_DESIGNS;
 pub(crate) use digest::check;
 pub(crate) use error::{OPENING, is_no_json, is_not_opened, is_shortage, is_trouble};
 pub use error::{Result, StoreError};
-pub(crate) use lock::{has_journal, is_still, lock, resolve_links, sidecar};
+pub(crate) use lock::lock;
 pub use log::Level;
 pub use metasense_worker::files::{npy_bytes, npy_values};
 pub use presence::{FileLoss, Presence};
 pub use prior::PriorProgress;
 pub use runs::{RunKey, RunPlan};
-pub use wait::{hurry, wait_for_locks};
 pub use write::Array;
 pub(crate) use write::{RELEASE_ORPHANS, read_checkpoint};
 
@@ -85,7 +84,7 @@ impl Store {
 
     async fn open_file(path: PathBuf) -> Result<Self> {
         let file = resolve_links(&path);
-        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = files::folder(&file);
         std::fs::create_dir_all(folder).map_err(|source| StoreError::Unwritable(path.clone(), source))?;
         if let Some(system) = files::disk::network_of(folder) {
             return Err(StoreError::NetworkDisk(path, system));
@@ -93,7 +92,7 @@ impl Store {
         let lock = Arc::new(lock(&path, true)?);
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
-        wait::wait_on(&mut connection).await.map_err(at)?;
+        sql::wait_on(&mut connection).await.map_err(at)?;
         sql::register(&mut connection).await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {

@@ -14,8 +14,8 @@ use libsqlite3_sys as ffi;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{Connection, Executor};
 
-use super::{Result, StoreError, resolve_links, sidecar};
-use crate::files;
+use super::{Result, StoreError};
+use crate::files::{self, is_still, resolve_links, sidecar};
 
 /// What happened to the files of an open database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,7 +122,7 @@ impl Presence {
     /// The path that the open file has now.
     fn name(&self) -> Option<PathBuf> {
         let known = std::fs::read_link(format!("/proc/self/fd/{}", self.file.as_raw_fd())).ok()?;
-        super::is_still(&self.file, &known).then_some(known)
+        is_still(&self.file, &known).then_some(known)
     }
 }
 
@@ -136,20 +136,16 @@ pub(super) async fn rescue(
     let path = presence.paths[0].clone();
     // a transaction that an error has left open
     let _ = connection.execute("ROLLBACK").await;
-    let saved = if lost == FileLoss::Truncated {
-        match is_intact(&mut connection).await {
-            true => copied(&mut connection, &presence.paths[1]).await,
-            false => {
-                Err("the recorded data cannot be read any more; restore the file from a backup".to_owned())
-            }
-        }
+    let truncated = lost == FileLoss::Truncated;
+    let saved = if truncated && !is_intact(&mut connection).await {
+        Err("the recorded data cannot be read any more; restore the file from a backup".to_owned())
+    } else if !truncated
+        && is_folded(&mut connection).await
+        && let Some(name) = presence.name()
+    {
+        Ok(name)
     } else {
-        let folded: Result<(i64, i64, i64), _> =
-            sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut connection).await;
-        match presence.name().filter(|_| folded.is_ok_and(|folded| folded.0 == 0)) {
-            Some(name) => Ok(name),
-            None => copied(&mut connection, &presence.paths[1]).await,
-        }
+        copied(&mut connection, &presence.paths[1]).await
     };
     // A normal close would delete the log by its path, which may belong to another file now.
     if let Ok(mut handle) = connection.lock_handle().await {
@@ -174,6 +170,13 @@ pub(super) async fn rescue(
 async fn is_intact(connection: &mut SqliteConnection) -> bool {
     let checked = sqlx::query_scalar::<_, String>("PRAGMA integrity_check(1)").fetch_one(connection).await;
     checked.is_ok_and(|result| result == "ok")
+}
+
+/// Moves the log into the database; whether that succeeded.
+async fn is_folded(connection: &mut SqliteConnection) -> bool {
+    let folded =
+        sqlx::query_as::<_, (i64, i64, i64)>("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(connection).await;
+    folded.is_ok_and(|(blocked, ..)| blocked == 0)
 }
 
 /// Copies the database into a new file beside it, or else in the current folder or TMPDIR.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use metasense_schemas::record::Checkpoint;
 use sqlx::AssertSqlSafe;
 
-use super::{Level, Result, Store, StoreError, check, npy_values, read_checkpoint};
+use super::{Level, Result, Store, StoreError, check, npy_values};
 
 /// Progress of a trial in earlier runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -26,15 +26,25 @@ const TRAINERS: &str = "
       AND (m.state = 'done' OR c.step > 0) AND NOT EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = m.id
         AND NOT a.redone AND (a.code IS NOT ?2 OR a.simd IS NOT ?3) AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done'))";
 
+/// Id, hash, steps and best step of such a trial.
+type Trainer = (i64, String, u32, u32);
+
+/// Separates stored data that cannot be used (inner error) from a failing database.
+fn usable<T>(read: Result<T>) -> Result<Result<T>> {
+    match read {
+        Err(error @ (StoreError::Damaged(..) | StoreError::Unreadable { .. })) => Ok(Err(error)),
+        read => read.map(Ok),
+    }
+}
+
 impl Store {
     /// Most outer steps per body of open trials, over all trials that train it, by [`TrialSpec::training`].
     ///
     /// [`TrialSpec::training`]: metasense_schemas::spec::TrialSpec::training
     pub async fn bodies(&mut self) -> Result<HashMap<String, u32>> {
-        let made = self.provenance.as_ref();
         // Safe: contains only our own SQL.
         let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
-        let (code, simd) = (made.map(|made| &made.code), made.map(|made| &made.simd));
+        let (code, simd) = self.provenance.as_ref().map(|made| (&made.code, &made.simd)).unzip();
         let rows: Vec<(String, u32)> = bound!(sqlx::query_as(AssertSqlSafe(sql)); None::<i64>, code, simd)
             .fetch_all(&mut self.connection)
             .await
@@ -53,31 +63,26 @@ impl Store {
         attempt: u32,
         pause: Option<u32>,
     ) -> Result<Option<Checkpoint>> {
-        let own = match self.checkpoint(hash).await {
-            Err(error @ (StoreError::Damaged(..) | StoreError::Unreadable { .. })) => Err(error),
-            own => Ok(own?),
-        };
+        let own = usable(self.checkpoint(hash).await)?;
         let behind = own.as_ref().ok().and_then(Option::as_ref).map_or(0, |own| own.step);
         let (id, at) = (self.id(hash)?, self.at("reading the body of another trial from"));
-        let made = self.provenance.as_ref();
         let sql = format!(
             "SELECT m.id, m.hash, m.reached, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
              WHERE m.id <> ?1 AND m.reached > ?4 AND m.reached <= ?5 ORDER BY m.reached DESC, m.id"
         );
-        let (code, simd) = (made.map(|made| &made.code), made.map(|made| &made.simd));
+        let (code, simd) = self.provenance.as_ref().map(|made| (&made.code, &made.simd)).unzip();
         let query =
             bound!(sqlx::query_as(AssertSqlSafe(sql)); id, code, simd, behind, pause.unwrap_or(u32::MAX));
-        let trainers: Vec<(i64, String, u32, u32)> =
-            query.fetch_all(&mut self.connection).await.map_err(&at)?;
+        let trainers: Vec<Trainer> = query.fetch_all(&mut self.connection).await.map_err(&at)?;
         if trainers.is_empty() {
             return own;
         }
         let by_network = !self.optimise(id).await.map_err(&at)?.linear();
         let mut found = None;
-        for (other, name, reached, best_step) in trainers {
-            match self.body_of(other, &name, reached, best_step, by_network).await? {
+        for trainer in trainers {
+            match self.body_of(&trainer, by_network).await? {
                 Ok(Some(body)) => {
-                    found = Some((other, name, reached, body));
+                    found = Some((trainer, body));
                     break;
                 }
                 Ok(None) => {}
@@ -85,7 +90,7 @@ impl Store {
             }
         }
         // without a usable body of another trial, this trial uses its own checkpoint
-        let Some((other, name, reached, body)) = found else { return own };
+        let Some(((other, name, reached, _), body)) = found else { return own };
         if let Err(why) = own {
             self.log(hash, attempt, Level::Warn, &why.to_string()).await?;
         }
@@ -102,29 +107,22 @@ impl Store {
         Ok(Some(body))
     }
 
-    /// The body that a trial has trained for `reached` steps: from its checkpoint, or from its result if it is done. The inner
-    /// error: the stored data cannot be used.
-    async fn body_of(
-        &mut self,
-        id: i64,
-        name: &str,
-        reached: u32,
-        best_step: u32,
-        by_network: bool,
-    ) -> Result<Result<Option<Checkpoint>>> {
-        let at = self.at("reading the body of another trial from");
-        let sql = "SELECT bytes, digest FROM checkpoint WHERE trial_id = ?";
-        let stored = sqlx::query_as(sql).bind(id).fetch_optional(&mut self.connection).await.map_err(&at)?;
-        if let Some(stored) = stored {
-            return Ok(read_checkpoint(name, stored).map(|there| Some(there.of_body(by_network))));
+    /// The body that a trial has trained: from its checkpoint, or from its result if it is done. The inner error: the stored data
+    /// cannot be used.
+    async fn body_of(&mut self, trainer: &Trainer, by_network: bool) -> Result<Result<Option<Checkpoint>>> {
+        let (id, name, reached, best_step) = trainer;
+        match usable(self.checkpoint(name).await)? {
+            Ok(None) => {}
+            stored => return Ok(stored.map(|stored| stored.map(|there| there.of_body(by_network)))),
         }
         let sql = "SELECT bytes, coalesce(digest, x'') FROM artifact WHERE trial_id = ? AND name = 'alpha_optimised'";
+        let stored = sqlx::query_as(sql).bind(id).fetch_optional(&mut self.connection).await;
         let stored: Option<(Vec<u8>, Vec<u8>)> =
-            sqlx::query_as(sql).bind(id).fetch_optional(&mut self.connection).await.map_err(&at)?;
+            stored.map_err(self.at("reading the body of another trial from"))?;
         let Some((bytes, checksum)) = stored else { return Ok(Ok(None)) };
         let checked = check(name, "array alpha_optimised", &bytes, &checksum);
         let best = npy_values(&bytes).ok();
-        Ok(checked.map(|()| best.map(|best| Checkpoint::after_training(reached, best, best_step))))
+        Ok(checked.map(|()| best.map(|best| Checkpoint::after_training(*reached, best, *best_step))))
     }
 
     /// Copies the steps of another trial before step `before` that this trial lacks, with attempt 0.

@@ -2,13 +2,12 @@
 
 use std::borrow::Cow;
 
-use metasense_schemas::record::{
-    Band, BodyEvaluation, CastReading, NetworkEvaluation, TrialResult, mean, most_above,
-};
+use metasense_schemas::record::{Band, BodyEvaluation, CastReading, NetworkEvaluation, TrialResult};
 use metasense_worker::milestones;
 
 use super::digest::digest;
 use super::{Array, Store, npy_bytes, npy_values};
+use crate::analysis::numbers::{most_above, network_mean};
 
 impl Store {
     /// Records a result with its arrays, sets its trial to done and deletes its checkpoint.
@@ -35,8 +34,8 @@ impl Store {
             |n| n.spread?.p90,
         ];
         for error in errors {
-            query = query.bind(mean(&result.initial.networks, error));
-            query = query.bind(mean(&result.optimised.networks, error));
+            query = query.bind(network_mean(&result.initial.networks, error));
+            query = query.bind(network_mean(&result.optimised.networks, error));
         }
         for body in [&result.initial, &result.optimised] {
             query = query.bind(most_above(&body.networks));

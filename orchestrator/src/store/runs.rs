@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::write::VERSION;
 use super::{Result, Store};
+use crate::provenance;
 
 /// Plan of a run at its start.
 #[derive(Debug, Clone, Copy)]
@@ -36,7 +37,7 @@ impl Store {
             "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials,
                estimated_seconds)
              VALUES (?, strftime('%Y-%m-%dT%H:%M:%fZ'), ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING sweep_id, started_at");
-            self.sweep, &host, plan.shard.0, plan.shard.1, job(), VERSION, plan.workers.0, plan.workers.1,
+            self.sweep, &host, plan.shard.0, plan.shard.1, provenance::job(), VERSION, plan.workers.0, plan.workers.1,
             plan.trials as i64, plan.estimated_seconds)
         .fetch_one(&mut self.connection)
         .await
@@ -54,15 +55,4 @@ impl Store {
         .map_err(self.at("recording a run in"))?;
         Ok(())
     }
-}
-
-/// Job id of this run on the cluster, if any.
-fn job() -> Option<String> {
-    let variable = |name| std::env::var(name).ok();
-    let slurm = || {
-        let task = variable("SLURM_ARRAY_TASK_ID").map_or(String::new(), |task| format!("_{task}"));
-        variable("SLURM_ARRAY_JOB_ID").or(variable("SLURM_JOB_ID")).map(|job| format!("slurm {job}{task}"))
-    };
-    let hyperqueue = || Some(format!("hq {}.{}", variable("HQ_JOB_ID")?, variable("HQ_TASK_ID")?));
-    slurm().or_else(hyperqueue)
 }

@@ -1,11 +1,12 @@
 //! The writer's methods for sweeps: record their trials, and list those that have ended.
 
-use metasense_schemas::record::{Trial, TrialErrors};
+use metasense_schemas::record::Trial;
 use metasense_schemas::spec::SweepSpec;
 use serde_json::json;
 
 use super::write::VERSION;
 use super::{Result, Store, StoreError};
+use crate::analysis::until::TrialErrors;
 
 impl Store {
     /// Records a sweep and its new trials. If nothing is new, changes nothing, except that it updates changed paths of recorded

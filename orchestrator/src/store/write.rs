@@ -1,4 +1,5 @@
-//! The writer's methods: batches, attempts, steps with their checkpoints.
+//! The writer's methods: batches, attempts, steps with their checkpoints. Records of an attempt that is not the current one fail
+//! with `Stale`.
 
 use std::time::Instant;
 
@@ -109,9 +110,6 @@ impl Store {
     }
 
     /// Records an outer step and the checkpoint after it in one transaction. The designs of some steps are kept.
-    ///
-    /// # Errors
-    /// `Stale` if the attempt is not the current one.
     pub async fn record_step(
         &mut self,
         hash: &str,
@@ -136,9 +134,6 @@ impl Store {
     }
 
     /// Records a checkpoint of the final evaluation.
-    ///
-    /// # Errors
-    /// `Stale` if the attempt is not the current one.
     pub async fn record_checkpoint(
         &mut self,
         hash: &str,
@@ -197,9 +192,6 @@ impl Store {
 
     /// Records the result of a trial with its arrays, sets it to done and deletes its checkpoint. Designs, weights and losses
     /// may be in the result or, under their names in the database, among the arrays.
-    ///
-    /// # Errors
-    /// `Stale` if the attempt is not the current one.
     pub async fn finish(
         &mut self,
         hash: &str,
@@ -215,9 +207,6 @@ impl Store {
     }
 
     /// Ends an attempt without a result. `settled`: its trial has failed; otherwise, the trial is pending again.
-    ///
-    /// # Errors
-    /// `Stale` if the attempt is not the current one.
     pub async fn fail(&mut self, hash: &str, attempt: u32, reason: &str, settled: bool) -> Result<()> {
         let state = if settled { "failed" } else { "pending" };
         self.for_current_attempt(hash, attempt, "recording the end of an attempt in", async |store, id| {

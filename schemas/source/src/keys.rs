@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde_json::Value;
+use strsim::damerau_levenshtein;
 
 use super::TABLES;
-use metasense_schemas::spec::SweepSpec;
 
 /// All keys that a file may have, by path.
 #[derive(Debug)]
@@ -20,12 +20,8 @@ pub struct KnownKeys {
 }
 
 impl KnownKeys {
-    /// Returns the keys of `SweepSpec`.
-    pub fn of_spec() -> Self {
-        Self::of_type::<SweepSpec>()
-    }
-
-    pub(super) fn of_type<T: JsonSchema>() -> Self {
+    /// Returns the keys of a type.
+    pub fn of_type<T: JsonSchema>() -> Self {
         let schema = schemars::schema_for!(T).to_value();
         let (mut allowed, mut numbers) = (BTreeMap::new(), Vec::new());
         add_keys(&schema, &schema, "", &mut allowed, &mut numbers);
@@ -48,14 +44,9 @@ impl KnownKeys {
 
     /// Returns the keys that may be an axis: those of a trial.
     pub(super) fn axes(&self) -> impl Iterator<Item = &str> {
-        self.paths().filter(|p| {
-            p.contains('.')
-                && !p.starts_with("sweep.")
-                && !p.starts_with("run.")
-                && !p.starts_with("until.")
-                && !TABLES.iter().any(|table| p.starts_with(table))
-                && *p != "sensors.placements"
-        })
+        let of_no_trial =
+            |p: &str| ["sweep.", "run.", "until."].iter().chain(&TABLES).any(|table| p.starts_with(table));
+        self.paths().filter(move |p| p.contains('.') && !of_no_trial(p) && *p != "sensors.placements")
     }
 
     /// Whether a key may be an axis.
@@ -65,21 +56,17 @@ impl KnownKeys {
 
     /// Returns the key nearest to `path`, if it is near. A name in another table counts as one letter farther.
     pub fn nearest_of<'a>(path: &str, among: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-        let split = |p: &'a str| p.rsplit_once('.').unwrap_or(("", p));
         let (table, name) = path.rsplit_once('.').unwrap_or(("", path));
-        let distance = |candidate: &'a str| {
-            let (its_table, its_name) = split(candidate);
-            let whole = strsim::damerau_levenshtein(candidate, path);
-            let elsewhere = if its_table == table { 0 } else { 1 };
-            whole.min(strsim::damerau_levenshtein(its_name, name) + elsewhere)
+        let distances = |candidate: &'a str| {
+            let (its_table, its_name) = candidate.rsplit_once('.').unwrap_or(("", candidate));
+            let whole = damerau_levenshtein(candidate, path);
+            let of_name = damerau_levenshtein(its_name, name) + usize::from(its_table != table);
+            (whole.min(of_name), whole, candidate)
         };
         // At most one wrong letter, and one more per four letters.
         let most = 1 + name.chars().count() / 4;
-        among
-            .map(|candidate| (distance(candidate), strsim::damerau_levenshtein(candidate, path), candidate))
-            .filter(|(distance, ..)| *distance <= most)
-            .min()
-            .map(|(.., candidate)| candidate)
+        let near = among.map(distances).filter(|(distance, ..)| *distance <= most);
+        near.min().map(|(.., candidate)| candidate)
     }
 
     /// Returns serde's message about a key; if it concerns the value, `must be` and the allowed values instead.
@@ -219,8 +206,8 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
             let keys: Vec<&str> = schema["properties"]
                 .as_object()
                 .into_iter()
-                .flatten()
-                .map(|(name, _)| name.as_str())
+                .flat_map(|all| all.keys())
+                .map(String::as_str)
                 .collect();
             match keys.len() {
                 1..=6 => format!("a table {{ {} }}", keys.join(", ")),

@@ -35,16 +35,13 @@ impl Layer {
             let Some(Value::String(base)) = below.layers[0].table()?.remove(BASE) else {
                 return Err(below.error(BASE, "must be a file name in quotes"));
             };
-            let file = folder(&below.file).join(base);
+            let file = below.folder().join(base);
             if files.contains(&canonical(&file)) {
                 return Err(below.error(BASE, "refers back to a spec that is based on this one"));
             }
-            let text = std::fs::read_to_string(&file).map_err(|e| {
-                below.error(
-                    BASE,
-                    &format!("cannot be read: {e}; file names are relative to the folder of the spec"),
-                )
-            })?;
+            let unread =
+                |e| format!("cannot be read: {e}; file names are relative to the folder of the spec");
+            let text = std::fs::read_to_string(&file).map_err(|e| below.error(BASE, &unread(e)))?;
             files.push(canonical(&file));
             below = Source::new(&file, text)?;
             layers.extend_from_slice(&below.layers);
@@ -64,11 +61,9 @@ impl Layer {
         let as_written = layer(format!("{key} = {value}"));
         let with_quotes = layer(format!("{key} = {}", quoted_words(value)));
         let found = [as_written, with_quotes].into_iter().find(|layer| layer.places(0).is_ok());
-        let wrong = |what: &str| SpecError {
-            file: COMMAND_LINE.into(),
-            line: 0,
-            key: key.clone(),
-            what: format!("{text}: {what}"),
+        let wrong = |what: &str| {
+            let (key, what) = (key.clone(), format!("{text}: {what}"));
+            SpecError { file: COMMAND_LINE.into(), line: 0, key, what }
         };
         match found {
             Some(_) if key == BASE => Err(wrong("can be set only in the spec")),
@@ -111,7 +106,8 @@ impl Layer {
     }
 }
 
-fn folder(file: &Path) -> &Path {
+/// The folder of a file; empty for a bare file name.
+pub(super) fn folder(file: &Path) -> &Path {
     file.parent().unwrap_or(Path::new(""))
 }
 
@@ -152,15 +148,12 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
         let mut table = layer.table()?;
         table.remove(BASE);
         if !layer.is_override() && folder(&layer.file) != folder(file) {
-            let mut value = Value::Table(std::mem::take(&mut table));
             let folder = canonical(folder(&layer.file));
-            each_file(&mut value, &mut |file| {
+            each_file(&mut table, &mut |file| {
                 if let Some(path) = folder.join(&*file).to_str() {
                     *file = path.to_owned();
                 }
             });
-            let Value::Table(moved) = value else { unreachable!("it was one") };
-            table = moved;
         }
         add_below(&mut all, table);
         let above = places.clone();
@@ -192,28 +185,25 @@ fn add_below(table: &mut Table, below: Table) {
 }
 
 /// Visits the names of files in a spec.
-pub fn each_file(spec: &mut Value, visit: &mut dyn FnMut(&mut String)) {
-    files_at("", spec, visit);
+pub fn each_file(spec: &mut Table, visit: &mut dyn FnMut(&mut String)) {
+    files_in("", spec, visit);
+}
+
+fn files_in(path: &str, table: &mut Table, visit: &mut dyn FnMut(&mut String)) {
+    for (key, value) in table {
+        let path = match (path, key.as_str()) {
+            ("", key) => key.to_owned(),
+            ("sweep", "points" | "exclude") => path.to_owned(),
+            ("sweep", axis) => axis.to_owned(),
+            (path, key) => format!("{path}.{key}"),
+        };
+        files_at(&path, value, visit);
+    }
 }
 
 fn files_at(path: &str, value: &mut Value, visit: &mut dyn FnMut(&mut String)) {
     match value {
-        Value::Table(table) => {
-            for (key, value) in table {
-                let path = match (path, key.as_str()) {
-                    ("", key) | ("sweep", key @ ("points" | "exclude")) => {
-                        if path.is_empty() {
-                            key.to_owned()
-                        } else {
-                            path.to_owned()
-                        }
-                    }
-                    ("sweep", axis) => axis.to_owned(),
-                    (path, key) => format!("{path}.{key}"),
-                };
-                files_at(&path, value, visit);
-            }
-        }
+        Value::Table(table) => files_in(path, table, visit),
         Value::Array(values) => values.iter_mut().for_each(|value| files_at(path, value, visit)),
         Value::String(file) if FILES.contains(&path) => visit(file),
         _ => {}
@@ -226,11 +216,10 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
         let name_text = name.get_ref();
         let shown = if name_text.contains('.') { format!("\"{name_text}\"") } else { name_text.to_string() };
         let key = if prefix.is_empty() { shown } else { format!("{prefix}.{shown}") };
-        let is_table = matches!(value.get_ref(), DeValue::Table(_));
+        let (is_table, is_list) = (value.get_ref().is_table(), value.get_ref().is_array());
         if let DeValue::Table(inner) = value.get_ref() {
             find_places(inner, &key, layer, places);
         }
-        let is_list = matches!(value.get_ref(), DeValue::Array(_));
         if let DeValue::Array(entries) = value.get_ref()
             && TABLES.iter().chain([&POINTS]).any(|list| key == list.trim_end_matches('.'))
         {
@@ -238,15 +227,8 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
             tables.for_each(|table| find_places(table, &key, layer, places));
         }
         let no_number = if is_table { None } else { no_number(value.get_ref()) };
-        places.push(Place {
-            key,
-            layer,
-            at: name.span().start,
-            value: value.span(),
-            is_table,
-            is_list,
-            no_number,
-        });
+        let (at, value) = (name.span().start, value.span());
+        places.push(Place { key, layer, at, value, is_table, is_list, no_number });
     }
 }
 

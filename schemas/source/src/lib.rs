@@ -3,6 +3,7 @@
 //! A spec may have a `base`, and overrides on the command line. These layers are merged into one text. Every error states file,
 //! line, key and value of the layer that contains the key. The JSON schema of the types gives the known keys.
 
+use std::iter::successors;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -14,13 +15,11 @@ use metasense_schemas::spec::SweepSpec;
 
 mod keys;
 mod layers;
-mod named;
 mod removed;
 
 pub use keys::KnownKeys;
 pub use layers::each_file;
-use layers::{Layer, comments, merged};
-pub use named::{HashError, position_of};
+use layers::{Layer, comments, folder, merged};
 use removed::removed;
 
 /// An error in a spec file.
@@ -98,6 +97,11 @@ impl Source {
         Ok(all)
     }
 
+    /// The folder to which file names in the spec are relative.
+    pub fn folder(&self) -> &Path {
+        folder(&self.file)
+    }
+
     /// The file and its bases alone; `None` without overrides.
     pub fn without_overrides(&self) -> Option<Self> {
         let first = self.layers.iter().position(|layer| !layer.is_override())?;
@@ -143,36 +147,23 @@ impl Source {
         let within =
             |inner: &str, outer: &str| inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
         let sets = |name: &str| name == key || within(key, name) || within(name, key);
-        let axis = |p: &&Place| {
-            p.key.strip_prefix("sweep.\"").and_then(|name| name.strip_suffix('"')).is_some_and(sets)
-        };
-        if let Some(axis) = self.places.iter().find(axis) {
+        let axis_of = |key: &str| Some(key.strip_prefix("sweep.\"")?.strip_suffix('"')?.to_owned());
+        if let Some(axis) = self.places.iter().find(|p| axis_of(&p.key).is_some_and(|axis| sets(&axis))) {
             return Some(format!("has no effect, because an axis sets the values: {} = [ … ]", axis.key));
         }
         let sweep = toml::from_str::<Value>(&self.text).ok()?;
-        let points =
-            sweep["sweep"]["points"].as_array().filter(|points| !points.is_empty() && key.contains('.'))?;
+        let points = sweep["sweep"]["points"].as_array()?;
         let given =
             |point: &Value| point.as_object().is_some_and(|point| point.keys().any(|name| sets(name)));
-        points
-            .iter()
-            .all(given)
-            .then(|| "has no effect, because all entries of sweep.points set it: change them".to_owned())
+        let all = !points.is_empty() && key.contains('.') && points.iter().all(given);
+        all.then(|| "has no effect, because all entries of sweep.points set it: change them".to_owned())
     }
 
-    /// Parses the spec and checks keys and types. The plan validates the values.
+    /// Parses a spec, or another kind of file, and checks keys and types. The plan validates the values.
     ///
     /// # Errors
     /// The first unknown key, missing key, or value of a wrong type.
-    pub fn parse(&self) -> Result<SweepSpec, SpecError> {
-        self.parse_as()
-    }
-
-    /// Parses another kind of file in the same way.
-    ///
-    /// # Errors
-    /// As [`Source::parse`].
-    pub fn parse_as<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, SpecError> {
+    pub fn parse<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, SpecError> {
         let known = KnownKeys::of_type::<T>();
         for place in &self.places {
             self.check_key(place, &known)?;
@@ -192,37 +183,34 @@ impl Source {
         if let Some(why) = removed(&axis, if place.is_table { "" } else { self.written(place) }) {
             return Err(self.wrong(place, why));
         }
+        let no_axis = |name: &str| {
+            let what = format!("{key} = {}: {}", self.value(place), no_axis(name, known));
+            Err(self.located(Some(place), key.to_owned(), what))
+        };
         if let Some(linked) = key.strip_prefix(POINTS) {
             let linked = &linked.replace('"', "");
             if !known.is_axis(linked) && !COUNTS.contains(&linked.as_str()) {
-                return Err(self.error_at_key(
-                    place,
-                    format!("{key} = {}: {}", self.value(place), no_axis(linked, known)),
-                ));
+                return no_axis(linked);
             }
         } else if let Some(axis) = key.strip_prefix("sweep.").filter(|_| !known.contains(key)) {
             let (quoted, axis) = (axis.starts_with('"'), axis.trim_matches('"'));
             if place.is_table && known.contains(axis) && !quoted {
-                let what = format!(
-                    "{key}: must not be a table; write an axis in quotes, such as \"{axis}.…\" = [ … ]"
-                );
-                return Err(self.error_at_key(place, what));
+                let remedy =
+                    format!("must not be a table; write an axis in quotes, such as \"{axis}.…\" = [ … ]");
+                return Err(self.wrong(place, &remedy));
             }
             if !known.is_axis(axis) {
-                return Err(self.error_at_key(
-                    place,
-                    format!("{key} = {}: {}", self.value(place), no_axis(axis, known)),
-                ));
+                return no_axis(axis);
             }
             if !place.is_list {
                 return Err(self.wrong(place, "must be a list of values, because it is an axis"));
             }
         } else if !known.contains(key) {
-            let nearest = KnownKeys::nearest_of(key, known.paths());
-            let all = || known.paths().collect::<Vec<_>>().join(", ");
-            let remedy = match known.contains("sweep") || nearest.is_some() {
-                true => unknown(nearest),
-                false => format!("unknown key; known keys here: {}", all()),
+            let remedy = match KnownKeys::nearest_of(key, known.paths()) {
+                None if !known.contains("sweep") => {
+                    format!("unknown key; known keys here: {}", known.paths().collect::<Vec<_>>().join(", "))
+                }
+                nearest => unknown(nearest),
             };
             return Err(self.error(key, &remedy));
         }
@@ -234,10 +222,11 @@ impl Source {
 
     /// Returns an error at this place, with its value.
     fn wrong(&self, place: &Place, remedy: &str) -> SpecError {
-        match place.is_table {
-            true => self.error_at_key(place, format!("{}: {remedy}", place.key)),
-            false => self.error_at_key(place, format!("{} = {}: {remedy}", place.key, self.value(place))),
-        }
+        let what = match place.is_table {
+            true => format!("{}: {remedy}", place.key),
+            false => format!("{} = {}: {remedy}", place.key, self.value(place)),
+        };
+        self.located(Some(place), place.key.clone(), what)
     }
 
     fn type_error(&self, e: &toml::de::Error, known: &KnownKeys) -> SpecError {
@@ -286,16 +275,8 @@ impl Source {
         let axis = format!("sweep.\"{key}\"");
         let exact = |wanted: &str| self.places.iter().find(|p| p.key == wanted);
         let stated = exact(&axis).or_else(|| self.linked(key, value)).or_else(|| exact(key));
-        let mut holder = key;
-        let place = stated.or_else(|| {
-            while let Some((table, _)) = holder.rsplit_once('.') {
-                holder = table;
-                if let Some(place) = exact(holder) {
-                    return Some(place);
-                }
-            }
-            None
-        });
+        let mut tables = successors(key.rsplit_once('.'), |(table, _)| table.rsplit_once('.'));
+        let place = stated.or_else(|| tables.find_map(|(table, _)| exact(table)));
         let value = value.map(shortened).or_else(|| stated.filter(|p| !p.is_table).map(|p| self.value(p)));
         let what = match (key, value) {
             ("", _) => remedy.to_owned(),
@@ -333,10 +314,6 @@ impl Source {
         places().find(same).or_else(|| places().next())
     }
 
-    fn error_at_key(&self, place: &Place, what: String) -> SpecError {
-        self.located(Some(place), place.key.clone(), what)
-    }
-
     fn located(&self, place: Option<&Place>, key: String, what: String) -> SpecError {
         match place {
             Some(place) => self.layers[place.layer].error(place.at, key, what),
@@ -367,16 +344,9 @@ const COUNTS: [&str; 2] = ["panels", "sensors"];
 
 /// Returns the path of a key that is missing in a table or in one that contains it.
 fn missing_key_path(table: &str, field: &str, known: &KnownKeys) -> String {
-    let inside = |table: &str| format!("{table}.{field}");
-    let mut around = table;
-    while !known.contains(&inside(around)) {
-        match around.rsplit_once('.') {
-            Some((outer, _)) => around = outer,
-            None if known.contains(field) => return field.to_owned(),
-            None => return inside(table),
-        }
-    }
-    inside(around)
+    let outer = successors(Some(table), |table| Some(table.rsplit_once('.')?.0));
+    let mut paths = outer.map(|table| format!("{table}.{field}")).chain([field.to_owned()]);
+    paths.find(|path| known.contains(path)).unwrap_or_else(|| format!("{table}.{field}"))
 }
 
 /// Returns the message for an unknown key.

@@ -319,7 +319,8 @@ fn errors_name_the_file_that_has_the_key() {
         ("j.toml", "k.toml:1: base = \"j.toml\": refers back to a spec that is based on this one"),
         ("l.toml", "m.toml:2: not valid TOML: "),
     ] {
-        let complaint = read(&folder, file).and_then(|source| source.parse()).unwrap_err().to_string();
+        let complaint =
+            read(&folder, file).and_then(|source| source.parse::<SweepSpec>()).unwrap_err().to_string();
         let complaint = complaint.strip_prefix(&format!("{}/", folder.path().display())).unwrap();
         assert!(complaint.starts_with(expected), "{complaint}\n{expected}");
     }

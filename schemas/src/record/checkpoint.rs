@@ -117,6 +117,30 @@ impl Checkpoint {
         let best = Some(Best { design: design.clone(), error: 0.0, step: best_step });
         Self { step: steps, design, design_moments, best, caution: 1.0, ..Self::default() }
     }
+
+    /// Version that [`Checkpoint::to_bytes`] writes.
+    pub const VERSION: u8 = 8;
+
+    /// Encodes the checkpoint for storage.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        postcard::to_extend(self, vec![Self::VERSION]).expect("a checkpoint is plain data")
+    }
+
+    /// Decodes a stored checkpoint.
+    ///
+    /// # Errors
+    /// If the bytes have another version or are damaged.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+        match bytes.split_first() {
+            Some((&Self::VERSION, rest)) => match postcard::take_from_bytes(rest) {
+                Ok((checkpoint, [])) => Ok(checkpoint),
+                Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} surplus bytes", more.len()))),
+                Err(error) => Err(CheckpointError::Damaged(error.to_string())),
+            },
+            Some((version, _)) => Err(CheckpointError::Version(*version)),
+            None => Err(CheckpointError::Damaged("no bytes".into())),
+        }
+    }
 }
 
 /// A stored checkpoint that this program cannot read.
@@ -128,40 +152,6 @@ pub enum CheckpointError {
     /// Truncated, or not of the format of its version.
     #[error("the checkpoint is damaged: {0}")]
     Damaged(String),
-}
-
-impl Checkpoint {
-    /// Version that [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 8;
-
-    /// Encodes the checkpoint for storage.
-    ///
-    /// # Panics
-    /// Never: it is plain data.
-    pub fn to_bytes(&self) -> Vec<u8> {
-        postcard::to_extend(self, vec![Self::VERSION]).expect("a checkpoint is plain data")
-    }
-
-    /// Decodes a stored checkpoint.
-    ///
-    /// # Errors
-    /// If the bytes have another version or are damaged.
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
-        match bytes.split_first() {
-            Some((&Self::VERSION, rest)) => read(rest),
-            Some((version, _)) => Err(CheckpointError::Version(*version)),
-            None => Err(CheckpointError::Damaged("no bytes".into())),
-        }
-    }
-}
-
-/// Decodes a value from all of the bytes.
-fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CheckpointError> {
-    match postcard::take_from_bytes(bytes) {
-        Ok((value, [])) => Ok(value),
-        Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} surplus bytes", more.len()))),
-        Err(error) => Err(CheckpointError::Damaged(error.to_string())),
-    }
 }
 
 #[cfg(test)]

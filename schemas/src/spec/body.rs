@@ -376,16 +376,6 @@ pub enum Rubber {
     DragonSkin10,
 }
 
-impl Rubber {
-    /// Nominal stress at 100 % strain (MPa) and density (Mg/mm³).
-    pub fn figures(self) -> (f64, f64) {
-        const PSI: f64 = 6.894_757e-3;
-        match self {
-            Self::DragonSkin10 => (22.0 * PSI, 1.07e-9),
-        }
-    }
-}
-
 /// Material of the sheet.
 #[skip_serializing_none]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -10,7 +10,6 @@ mod optimise;
 mod sensors;
 mod solver;
 mod stimuli;
-mod table;
 mod trial;
 mod until;
 mod variation;
@@ -29,9 +28,9 @@ pub use optimise::{
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{
-    Augment, ForceUnit, Part, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger,
+    Augment, Decimal, ForceUnit, Part, Recorded, Resample, Separator, Signal, Stimuli, StimuliKind, TimeUnit,
+    Trigger,
 };
-pub use table::{Decimal, Separator};
 pub use trial::{Point, Training, TrialSpec, flatten};
 pub use until::{AtMost, Until};
 pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Variation, VariationFile};

@@ -340,11 +340,6 @@ pub struct Optimise {
     pub reader: Option<CastReader>,
 }
 
-/// Defaults of `"random"`: candidates with a linear decoder and with a network, which take about as long as `"joint"`, and
-/// their standard deviation (mm).
-const SEARCH_LINEAR: usize = 30;
-const SEARCH: usize = 80;
-const SEARCH_SPREAD: f64 = 1.0;
 /// Default casts per step and samples per cast, with one decoder for all casts and with one per cast.
 const CASTS_ONE: [usize; 2] = [4, 8];
 const CASTS_EACH: [usize; 2] = [3, 24];
@@ -358,8 +353,8 @@ impl Optimise {
     /// Fills in the defaults of the protocol. Keys that the protocol does not use stay as they are.
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
-            Protocol::Random if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
-            Protocol::Random => (SEARCH, SEARCH_SPREAD),
+            Protocol::Random if self.linear() => (30, 1.0),
+            Protocol::Random => (80, 1.0),
             Protocol::Paper => (100, 0.1),
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
@@ -381,12 +376,9 @@ impl Optimise {
             self.brain_iterations.get_or_insert(10);
             self.brain_learning_rate.get_or_insert(1e-3);
         }
-        match self.protocol {
-            Protocol::Paper | Protocol::Random => {}
-            Protocol::Joint => {
-                self.batch.get_or_insert(batch);
-                self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
-            }
+        if self.protocol == Protocol::Joint {
+            self.batch.get_or_insert(batch);
+            self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });
         }
         self
     }
@@ -445,14 +437,10 @@ pub struct Evaluation {
     pub tasks: Option<bool>,
 }
 
-/// Default number of networks per body, and of casts per body with a variation.
-const NETWORKS: usize = 3;
-const CASTS: usize = 24;
-
 impl Evaluation {
     /// Fills in the defaults for a trial whose decoder is a network. `varied`: the spec has a variation.
     pub fn resolved(self, varied: bool, stimuli: &Stimuli) -> Self {
-        let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
+        let casts = Some(self.casts.unwrap_or(24)).filter(|casts| varied && *casts > 0);
         let under =
             self.under.as_ref().map(|kinds| kinds.iter().map(|kind| kind.resolved(stimuli)).collect());
         let tasks = self.tasks.filter(|estimated| *estimated);
@@ -461,19 +449,11 @@ impl Evaluation {
 
     /// Reduces the settings to those of a linear decoder, which is fitted once.
     pub fn of_linear(self) -> Self {
-        Self {
-            seeds: Some(1),
-            casts: self.casts,
-            under: self.under,
-            initial: self.initial,
-            records: self.records,
-            tasks: self.tasks,
-            ..Self::default()
-        }
+        Self { seeds: Some(1), schedule: Schedule::default(), batch: None, long_iterations: None, ..self }
     }
 
     /// Number of fresh networks per body.
     pub fn networks(&self) -> usize {
-        self.seeds.unwrap_or(NETWORKS)
+        self.seeds.unwrap_or(3)
     }
 }

@@ -6,8 +6,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_with::skip_serializing_none;
 
-use super::{Decimal, Separator};
-
 /// Kind of force histories.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -223,6 +221,31 @@ pub enum Signal {
     Name(String),
 }
 
+/// Separator of the fields of a CSV.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Separator {
+    /// Commas.
+    #[serde(rename = ",")]
+    Comma,
+    /// Semicolons.
+    #[serde(rename = ";")]
+    Semicolon,
+    /// Tabs.
+    #[serde(rename = "tab", alias = "\t")]
+    Tab,
+}
+
+/// The decimal mark of a CSV.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Decimal {
+    /// A point.
+    #[serde(rename = ".")]
+    Point,
+    /// A comma.
+    #[serde(rename = ",")]
+    Comma,
+}
+
 /// Unit of a file's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub enum TimeUnit {
@@ -238,17 +261,6 @@ pub enum TimeUnit {
     Microsecond,
 }
 
-impl TimeUnit {
-    /// The unit in seconds.
-    pub fn seconds(self) -> f64 {
-        match self {
-            Self::Second => 1.0,
-            Self::Millisecond => 1e-3,
-            Self::Microsecond => 1e-6,
-        }
-    }
-}
-
 /// Unit of a file's forces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub enum ForceUnit {
@@ -262,17 +274,6 @@ pub enum ForceUnit {
     /// Kilonewtons.
     #[serde(rename = "kN")]
     Kilonewton,
-}
-
-impl ForceUnit {
-    /// The unit in newtons.
-    pub fn newtons(self) -> f64 {
-        match self {
-            Self::Newton => 1.0,
-            Self::Millinewton => 1e-3,
-            Self::Kilonewton => 1e3,
-        }
-    }
 }
 
 /// How a record is resampled to another clock.

@@ -100,7 +100,7 @@ fn described(file: &Path) -> Result<(Source, keys::Measured), MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
     let source = Source::new(file, text)?;
-    let mut spec: keys::Measured = source.parse_as()?;
+    let mut spec: keys::Measured = source.parse()?;
     let folder = file.parent().unwrap_or(Path::new(""));
     let paths = spec.recorded.files.iter_mut().chain(spec.signals.files.iter_mut().flatten());
     paths.for_each(|path| *path = folder.join(&path));

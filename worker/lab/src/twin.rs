@@ -49,7 +49,7 @@ pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Twin, Meas
 /// # Errors
 /// As [`read`].
 pub fn parse(source: &Source, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
-    let stored: stored::Twin = source.parse_as()?;
+    let stored: stored::Twin = source.parse()?;
     checked(stored, trial, design).map_err(|Invalid { key, value, remedy }| {
         MeasuredError::Spec(source.error_with(&key, Some(&value), &remedy))
     })

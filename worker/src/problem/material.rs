@@ -7,6 +7,14 @@ use metasense_schemas::spec::{self, Material, Rubber};
 use super::body::lengths;
 use crate::invalid::{Invalid, invalid, not_negative, positive, require};
 
+/// Nominal stress at 100 % strain (MPa) and density (Mg/mm³) of a rubber.
+fn stress_and_density(rubber: Rubber) -> (f64, f64) {
+    const PSI: f64 = 6.894_757e-3;
+    match rubber {
+        Rubber::DragonSkin10 => (22.0 * PSI, 1.07e-9),
+    }
+}
+
 /// The body with mass per area and stiffnesses in place of its material.
 ///
 /// # Errors
@@ -32,7 +40,7 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
         }
     }
     let Material { rubber, modulus, density, thickness, ligament_width } = material;
-    let (stress, heavy) = rubber.map(Rubber::figures).unzip();
+    let (stress, heavy) = rubber.map(stress_and_density).unzip();
     let checked_value = |key: &str, own: Option<f64>, rubber: Option<f64>| {
         let missing = || invalid(key, "", "must be set, unless body.material.rubber is set");
         let value = own.or(rubber).ok_or_else(missing)?;

@@ -1,5 +1,7 @@
 //! Clocks of records: even, resampled to even, or rejected.
 
+use metasense_schemas::spec::TimeUnit;
+
 use super::{Pick, Record, median};
 
 /// Largest deviation of a step from the mean step of an even clock, relative to it.
@@ -35,7 +37,11 @@ pub(super) fn with_clock(
     if clock.len() < 2 {
         return Err("must contain at least two entries".into());
     }
-    let unit = pick.unit.seconds();
+    let unit = match pick.unit {
+        TimeUnit::Second => 1.0,
+        TimeUnit::Millisecond => 1e-3,
+        TimeUnit::Microsecond => 1e-6,
+    };
     let steps = || clock.windows(2).map(|w| w[1] - w[0]);
     if let Some(n) = steps().position(|step| !(step > 0.0 && step.is_finite())) {
         let (before, after) = (clock[n], clock[n + 1]);

@@ -12,7 +12,7 @@ mod looks;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 
-use metasense_schemas::record::{Trial as Planned, TrialErrors};
+use metasense_schemas::record::Trial as Planned;
 use metasense_schemas::spec::{Until, flatten};
 
 use super::data::{COMPLEXITY, SENSORS, groups, places};
@@ -140,6 +140,17 @@ fn planned(trial: &Planned) -> Trial {
         design_parameters: trial.design_parameters as u64,
         ..Trial::default()
     }
+}
+
+/// The part of a settled trial's result that the questions use.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrialErrors {
+    /// Name of the trial.
+    pub hash: String,
+    /// Held-out errors (%) of initial and trained body; `None` if the trial failed.
+    pub errors: [Option<f64>; 2],
+    /// CPU seconds.
+    pub seconds: f64,
 }
 
 /// Returns the state of the questions and the wanted trials, in the order of the plan. Once `hours` are spent, only settled

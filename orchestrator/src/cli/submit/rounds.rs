@@ -6,10 +6,11 @@ use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 use std::time::Duration;
 
-use metasense_schemas::record::{Trial, TrialErrors};
+use metasense_schemas::record::Trial;
 
 use super::queued::submit_shards;
 use super::{Args, Program, launch_config, note_here, prepare, print, write_assignment};
+use crate::analysis::until::TrialErrors;
 use crate::cli::results::Results;
 use crate::cli::{Error, Format, design, run};
 use crate::cluster::home::attempts;
@@ -18,12 +19,13 @@ use crate::cluster::places::{self, HostSlot};
 use crate::cluster::queue::{self, Job, Notes, Queue, QueueError};
 use crate::cluster::submit::Submission;
 use crate::cluster::{Assignment, ranges};
-use crate::engine::{RerunPolicy, Signals};
+use crate::engine::RerunPolicy;
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
 use crate::reader::Reader;
 use crate::rounds::{self, Runs};
 use crate::scheduler::Outcome;
+use crate::signals::Signals;
 use crate::store::Store;
 
 /// Time between two queries of a queue.

@@ -38,7 +38,7 @@ async fn a_damaged_live_database_is_set_aside_and_no_other() {
     for handed_in in [false, true] {
         let damaged = &whole[..whole.len() / 2];
         std::fs::write(&db, damaged).unwrap();
-        std::fs::write(store::sidecar(&db, "-wal"), "").unwrap();
+        std::fs::write(files::sidecar(&db, "-wal"), "").unwrap();
         let aside = home.merge_earlier_copies(|| ()).await.unwrap().unwrap();
         assert!(
             aside.starts_with(folder.canonicalize().unwrap()) && std::fs::read(&aside).unwrap() == damaged
@@ -58,7 +58,7 @@ async fn the_last_hand_in_does_not_wait_for_a_periodic_one() {
     let (folder, db) = (bench.path().join("out"), bench.path().join("live.sqlite"));
     let home = Home::new("s", Shard::new(1, 2).unwrap(), &folder, Some(db.clone())).unwrap();
     Store::open(&db).await.unwrap().close().await.unwrap();
-    let mut large = store::options(&db).connect().await.unwrap();
+    let mut large = crate::store::options(&db).connect().await.unwrap();
     sqlx::raw_sql(
         "CREATE TABLE large (n INTEGER); WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c WHERE n < 1000000)
          INSERT INTO large SELECT n FROM c",

@@ -5,6 +5,7 @@ use std::path::Path;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 
 use super::{copy, input};
+use crate::files;
 use crate::{sql, store};
 
 /// Pairs trials and sweeps of the part with those of the whole.
@@ -42,7 +43,7 @@ const LACKING: [&str; 5] = [
 /// # Errors
 /// If SQLite fails.
 pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
-    if store::has_journal(whole) || store::has_journal(part) {
+    if files::has_journal(whole) || files::has_journal(part) {
         return Ok(false);
     }
     let mut db = store::options(whole).read_only(true).immutable(true).connect().await?;

@@ -66,7 +66,7 @@ impl Input {
         if !named.is_file() {
             return Err(InputError::Input("no such file".into()));
         }
-        let file = store::resolve_links(named);
+        let file = files::resolve_links(named);
         let lock = File::open(&file)?;
         let mut state = Some(state_of(&lock)?);
         let busy = !held && files::is_held(&lock);
@@ -74,7 +74,7 @@ impl Input {
         if busy {
             snapshot(&file, copy, false, || true).await?;
             (path, state) = (copy.to_owned(), None);
-        } else if store::has_journal(&file) {
+        } else if files::has_journal(&file) {
             match reader::copy_with_journal(&file, copy) {
                 // a run has started since
                 Err(StoreError::InUse(..)) => return Err(InputError::Changed),
@@ -102,7 +102,7 @@ impl Input {
             return Ok(None);
         }
         let lock = File::open(&self.file)?;
-        match files::is_held(&lock) || Some(state_of(&lock)?) != self.state || store::has_journal(&self.file)
+        match files::is_held(&lock) || Some(state_of(&lock)?) != self.state || files::has_journal(&self.file)
         {
             true => Err(InputError::Changed),
             false => Ok(Some(lock)),
@@ -123,12 +123,12 @@ fn state_of(file: &File) -> io::Result<String> {
 /// Whether a file (real path) has the given state and no log.
 pub(super) fn is_as_before(file: &Path, state: &str) -> bool {
     let now = File::open(file).and_then(|file| state_of(&file));
-    now.is_ok_and(|now| now == state) && !store::has_journal(file)
+    now.is_ok_and(|now| now == state) && !files::has_journal(file)
 }
 
 /// Moves the log of a killed run into the file, so that its data is not lost. `alone`: no other process knows the file.
 pub(super) async fn checkpoint_log(file: &Path, alone: bool) -> Result<(), StoreError> {
-    if !store::has_journal(file) {
+    if !files::has_journal(file) {
         return Ok(());
     }
     let at = |source| StoreError::sql(file, "folding the log into", source);

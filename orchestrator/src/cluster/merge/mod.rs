@@ -117,7 +117,7 @@ pub async fn merge(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summ
 }
 
 async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
-    let out = &store::resolve_links(out);
+    let out = &files::resolve_links(out);
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);
     std::fs::create_dir_all(folder).map_err(unwritable)?;
@@ -132,7 +132,7 @@ async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Sum
         Err(e) => Err(unwritable(e)),
     };
     let _ = std::fs::remove_dir_all(&scratch);
-    if summary.is_err() && is_new && store::is_still(&lock, out) {
+    if summary.is_err() && is_new && files::is_still(&lock, out) {
         let _ = std::fs::remove_file(out);
     }
     summary
@@ -183,11 +183,11 @@ async fn merge_in(
     let mut copies = (0..).map(|n| scratch.join(format!("input-{n}.sqlite")));
     let mut copy = || copies.next().expect("numbers do not end");
     for file in distinct(files, out) {
-        if is_known(&store::resolve_links(&file)) {
+        if is_known(&files::resolve_links(&file)) {
             summary.known += 1;
             continue;
         }
-        match opened(&file, &mut copy, store::resolve_links(&file) == out).await {
+        match opened(&file, &mut copy, files::resolve_links(&file) == out).await {
             Ok(input) => inputs.push(input),
             Err(InputError::Shortage(source)) => return Err(stopped(&file, source)),
             Err(InputError::Input(why)) => summary.refused.push((file, why)),
@@ -275,12 +275,12 @@ async fn check_result(out: &Path) -> Result<(), StoreError> {
 /// apply it to the new file.
 async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
-    if !store::is_still(lock, out) {
+    if !files::is_still(lock, out) {
         return Err(StoreError::InUse(out.to_owned()).into());
     }
     input::checkpoint_log(out, false).await?;
     for journal in ["-wal", "-shm"] {
-        let _ = std::fs::remove_file(store::sidecar(out, journal));
+        let _ = std::fs::remove_file(files::sidecar(out, journal));
     }
     files::put_in_place(built, out).map_err(unwritable)
 }
@@ -399,12 +399,12 @@ fn distinct(files: &[PathBuf], out: &Path) -> Vec<PathBuf> {
     // An empty file was created by `keep_writers_out`.
     match out.metadata().is_ok_and(|m| m.len() > 0) {
         true => all.push(out.to_owned()),
-        false => all.retain(|file| store::resolve_links(file) != out),
+        false => all.retain(|file| files::resolve_links(file) != out),
     }
     // Sorted, so that rows without an order are in the same order, too.
     all.sort();
     let mut seen = std::collections::HashSet::new();
-    all.retain(|file| seen.insert(store::resolve_links(file)));
+    all.retain(|file| seen.insert(files::resolve_links(file)));
     all
 }
 

@@ -13,9 +13,9 @@ async fn until_the_new_file_is_in_place_nothing_of_the_old_one_is_gone() {
     store.begin_sweep(&plan.spec, spec, &plan.trials).await.unwrap();
     // The files as a killed run leaves them.
     for end in ["", "-wal"] {
-        std::fs::copy(store::sidecar(&live, end), store::sidecar(&out, end)).unwrap();
+        std::fs::copy(files::sidecar(&live, end), files::sidecar(&out, end)).unwrap();
     }
-    assert!(store::has_journal(&out));
+    assert!(files::has_journal(&out));
     let built = folder.path().join("built.sqlite");
     // Renaming a non-empty folder over a file fails.
     std::fs::create_dir(&built).unwrap();

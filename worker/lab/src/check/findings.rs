@@ -3,6 +3,7 @@
 use metasense_numerics::student::median;
 use metasense_schemas::spec::ForceUnit;
 use metasense_worker::invalid::as_written;
+use metasense_worker::records::newtons;
 
 use super::{Described, Looked};
 use crate::measured::{AccelerationUnit, AngularVelocityUnit, Start};
@@ -222,7 +223,7 @@ impl Findings<'_> {
         for f in [ForceUnit::Newton, ForceUnit::Millinewton, ForceUnit::Kilonewton] {
             for a in [AccelerationUnit::Millimetre, AccelerationUnit::Metre, AccelerationUnit::Gravity] {
                 for t in [AngularVelocityUnit::Radian, AngularVelocityUnit::Degree] {
-                    let by = force.newtons() / f.newtons();
+                    let by = newtons(force) / newtons(f);
                     let factors =
                         [by * a.factor() / acceleration.factor(), by * t.factor() / turning.factor()];
                     let new = [0, 1].map(|k| gains[k].map(|g| g * factors[k]));

@@ -3,8 +3,12 @@
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
-use super::EngineError;
-use crate::store::hurry;
+use crate::sql::hurry;
+
+/// Signals cannot be received.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot wait for signals")]
+pub struct SignalError(#[from] std::io::Error);
 
 /// A stream of signals. While it exists, and after, signals do not end the process.
 #[derive(Debug)]
@@ -15,18 +19,18 @@ impl Signals {
     ///
     /// # Errors
     /// If the system cannot deliver signals.
-    pub fn new() -> Result<Self, EngineError> {
+    pub fn new() -> Result<Self, SignalError> {
         let (out, signals) = mpsc::channel(4);
         let hangup = Some(SignalKind::hangup()).filter(|_| !ignores_hangup());
         for kind in [SignalKind::interrupt(), SignalKind::terminate()].into_iter().chain(hangup) {
-            let (mut signal, out) = (signal(kind).map_err(EngineError::Signals)?, out.clone());
+            let (mut signal, out) = (signal(kind)?, out.clone());
             tokio::spawn(async move { while signal.recv().await.is_some() && out.send(()).await.is_ok() {} });
         }
         Ok(Self(signals))
     }
 
     /// The next signal.
-    pub(super) async fn next(&mut self) -> Option<()> {
+    pub(crate) async fn next(&mut self) -> Option<()> {
         let next = self.0.recv().await;
         hurry();
         next

@@ -36,7 +36,7 @@ pub fn hurry() {
 }
 
 /// Installs the busy handler on a connection.
-pub(super) async fn wait_on(connection: &mut SqliteConnection) -> sqlx::Result<()> {
+pub(crate) async fn wait_on(connection: &mut SqliteConnection) -> sqlx::Result<()> {
     let mut handle = connection.lock_handle().await?;
     let (db, data) = (handle.as_raw_handle().as_ptr(), std::ptr::null_mut());
     // SAFETY: the handle is locked and open; the handler has no data of its own.
