@@ -5,6 +5,8 @@
 //! cancel 3f6a\n  →                    ← done cancelled: it ends after its step in progress
 //! ```
 
+use std::cell::RefCell;
+use std::collections::HashSet;
 use std::ffi::OsString;
 use std::fmt;
 use std::fs::{File, Permissions};
@@ -22,8 +24,10 @@ use tokio::sync::{Mutex, Semaphore, mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
+use crate::analysis::view::View;
 use crate::files;
-use crate::scheduler::{SteerAnswer, SteerRefusal};
+use crate::plan::{Plan, counted};
+use crate::scheduler::{State, SteerAnswer, SteerRefusal};
 
 /// Longest request and answer (bytes).
 const LINE: u64 = 4 << 10;
@@ -345,6 +349,64 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Reply, ControlError> {
         Some(("refused", text)) => Ok(Reply::refused(text)),
         _ => Err(at(io::Error::new(io::ErrorKind::UnexpectedEof, "it ended without a reply"))),
     }
+}
+
+/// Source of commands to a run.
+pub struct Control {
+    listener: Option<Listener>,
+    /// Reads the spec again.
+    pub(crate) reread: Arc<Reread>,
+    /// Plans that were read during the run.
+    pub(crate) plans: RefCell<Vec<Arc<Plan>>>,
+}
+
+/// Reads the spec again; the error is text for people.
+pub type Reread = dyn Fn() -> Result<Plan, String> + Send + Sync;
+
+impl Control {
+    /// Takes commands from a listener, if any.
+    pub fn new(listener: Option<Listener>, reread: Arc<Reread>) -> Self {
+        Self { listener, reread, plans: RefCell::default() }
+    }
+
+    /// Takes no commands.
+    pub fn none() -> Self {
+        Self::new(None, Arc::new(|| Err("this run has no spec file".into())))
+    }
+
+    /// The last plan that was read, starting from `first`, with the trials of earlier plans that it lacks appended.
+    pub fn last_plan(&self, first: Plan) -> Plan {
+        self.plans.borrow().iter().fold(first, |earlier, later| {
+            let own: HashSet<&str> = later.trials.iter().map(|trial| trial.hash.as_str()).collect();
+            let gone = earlier.trials.into_iter().filter(|trial| !own.contains(trial.hash.as_str()));
+            Plan { trials: later.trials.iter().cloned().chain(gone).collect(), ..Plan::clone(later) }
+        })
+    }
+
+    pub(crate) async fn next(&self) -> Option<Request> {
+        self.listener.as_ref()?.next().await
+    }
+}
+
+impl fmt::Debug for Control {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Control").field("listener", &self.listener).finish_non_exhaustive()
+    }
+}
+
+/// State of a run as text.
+pub(crate) fn in_words(state: &State, view: &View) -> String {
+    let how = match (state.is_stopping(), state.is_paused()) {
+        (true, _) => "stopping",
+        (false, true) => "paused",
+        (false, false) => "running",
+    };
+    let workers = counted(state.workers() as usize, "worker");
+    let (busy, settled, waiting) = (state.busy(), view.settled(), state.waiting());
+    format!(
+        "{how}: {busy} of {workers} busy, {settled} of {} finished, {waiting} pending",
+        counted(view.total, "trial")
+    )
 }
 
 #[cfg(test)]

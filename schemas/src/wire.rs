@@ -201,9 +201,6 @@ pub enum End {
 impl Services {
     /// Creates or opens all services of a domain, given by its root path and the prefix of its segments. Clean-up of dead nodes
     /// is off, because a domain is removed as a whole. So are signal handling and log, whose messages concern killed processes.
-    ///
-    /// # Errors
-    /// If a name is not valid for iceoryx2, or a service cannot be created or opened.
     pub fn new(root: &str, prefix: &str, end: End) -> Result<Self, LinkError> {
         set_log_level(LogLevel::Fatal);
         let naming = "naming the domain";
@@ -220,24 +217,22 @@ impl Services {
             .create::<Ipc>()
             .map_err(LinkError::of("creating a node"))?;
         macro_rules! service {
-            ($name:literal, $builder:expr) => {{
-                let builder = $builder;
+            ($name:literal, $($builder:tt)+) => {{
+                let name = ServiceName::new($name).map_err(LinkError::of("naming a service"))?;
+                let builder = node.service_builder(&name).$($builder)+.max_nodes(2);
                 match end {
                     End::Orchestrator => builder.create().map_err(LinkError::of(concat!("creating ", $name))),
                     End::Worker => builder.open().map_err(LinkError::of(concat!("opening ", $name))),
                 }?
             }};
         }
-        let name = |name: &str| ServiceName::new(name).map_err(LinkError::of("naming a service"));
         macro_rules! pubsub {
             ($name:literal, $payload:ty, $buffer:expr, $borrowed:expr, $overflow:expr) => {
                 service!(
                     $name,
-                    node.service_builder(&name($name)?)
-                        .publish_subscribe::<$payload>()
+                    publish_subscribe::<$payload>()
                         .max_publishers(1)
                         .max_subscribers(1)
-                        .max_nodes(2)
                         .history_size(0)
                         .subscriber_max_buffer_size($buffer)
                         .subscriber_max_borrowed_samples($borrowed)
@@ -247,15 +242,7 @@ impl Services {
         }
         macro_rules! event {
             ($name:literal) => {
-                service!(
-                    $name,
-                    node.service_builder(&name($name)?)
-                        .event()
-                        .max_nodes(2)
-                        .max_listeners(1)
-                        .max_notifiers(2)
-                        .event_id_max_value(1)
-                )
+                service!($name, event().max_listeners(1).max_notifiers(2).event_id_max_value(1))
             };
         }
         Ok(Self {
@@ -312,9 +299,7 @@ impl Services {
 }
 
 /// Waits for a wake-up, at most `POLL`. A signal ends the wait early, which is harmless: callers check their condition again.
-///
-/// # Errors
-/// If iceoryx2 cannot wait; `waiting` names the operation.
+/// `waiting` names the operation in errors.
 pub fn sleep(sleeper: &Sleeper, waiting: &'static str) -> Result<(), LinkError> {
     match sleeper.timed_wait(|_| {}, POLL) {
         Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
@@ -328,9 +313,6 @@ pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
 }
 
 /// Copies a message into a loaned chunk and sends it. Returns false if the receiver's buffer is full or there is no receiver.
-///
-/// # Errors
-/// If there is no memory for the message.
 pub fn send(sender: &MessageSender, message: &[u8]) -> Result<bool, LinkError> {
     let chunk = sender.loan_slice_uninit(message.len()).map_err(LinkError::of("loaning a chunk"))?;
     let received = chunk.write_from_slice(message).send().map_err(LinkError::of("sending"))?;
@@ -370,9 +352,6 @@ pub fn receive_arrays(
 }
 
 /// Receives the next message, if there is one.
-///
-/// # Errors
-/// If the connection is broken or the message is of another build.
 pub fn receive<T: serde::de::DeserializeOwned>(receiver: &MessageReceiver) -> Result<Option<T>, LinkError> {
     let Some(sample) = receiver.receive().map_err(LinkError::of("receiving"))? else { return Ok(None) };
     postcard::from_bytes(sample.payload()).map(Some).map_err(LinkError::of("decoding a message"))

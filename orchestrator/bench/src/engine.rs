@@ -9,7 +9,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use metasense::cli::{self, Error};
-use metasense::engine::{self, Control, Options, RerunPolicy, Silent};
+use metasense::control::Control;
+use metasense::engine::{self, Options, RerunPolicy, Silent};
 use metasense::exit::Exit;
 use metasense::plan::Trial;
 use metasense::print_line;
@@ -131,12 +132,12 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         "step_ms": args.step_ms,
         "array_bytes": args.array * 8,
         "arrays_recorded": !args.drop_arrays,
-        "trials": summary.done,
-        "failed": summary.failed,
+        "trials": summary.view.done,
+        "failed": summary.view.failed,
         "stale": summary.stale,
         "seconds": seconds,
-        "trials_per_second": summary.done as f64 / seconds,
-        "array_bytes_per_second": (summary.done as u64 * args.array * 8) as f64 / seconds,
+        "trials_per_second": summary.view.done as f64 / seconds,
+        "array_bytes_per_second": (summary.view.done as u64 * args.array * 8) as f64 / seconds,
         "orchestrator_core_percent": 100.0 * (cpu_seconds() - cpu) / seconds,
         "orchestrator_resident_mib": crate::peak_mib(),
         "version": env!("CARGO_PKG_VERSION"),
@@ -145,7 +146,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     Ok(match summary.outcome {
         Outcome::Interrupted => Exit::Interrupted,
         Outcome::Unfit(_) => Exit::Unfit,
-        _ if summary.failed > 0 => Exit::Failed,
+        _ if summary.view.failed > 0 => Exit::Failed,
         _ => Exit::Done,
     })
 }

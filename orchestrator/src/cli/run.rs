@@ -20,8 +20,8 @@ use crate::analysis::until::TrialErrors;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard, trials_of};
-use crate::control::{Listener, WORKERS_MAX};
-use crate::engine::{self, Control, EngineError, GRACE, Options, Reread, RerunPolicy};
+use crate::control::{Control, Listener, Reread, WORKERS_MAX};
+use crate::engine::{self, EngineError, GRACE, Options, RerunPolicy};
 use crate::exit::{Exit, chain};
 use crate::plan::{GRACE_MAX, Plan, Trial, counted};
 use crate::rounds::{Runs, rounds};
@@ -413,7 +413,9 @@ impl Runs for Round<'_> {
         let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {
-            Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
+            Ok(summary) => {
+                store.end_run(&run, name(summary.outcome), summary.view.done, summary.view.failed).await
+            }
             Err(EngineError::NoWorkers(_) | EngineError::Short(_)) => {
                 store.end_run(&run, name(Outcome::NoWorkers), 0, 0).await
             }
@@ -421,7 +423,7 @@ impl Runs for Round<'_> {
         };
         let summary = ended?;
         noted?;
-        (options.settings.workers, options.settings.paused) = (summary.workers, summary.paused);
+        (options.settings.workers, options.settings.paused) = (summary.view.workers, summary.view.paused);
         self.stopping = summary.stopping;
         Ok(Some(summary.outcome))
     }

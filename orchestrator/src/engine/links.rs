@@ -125,19 +125,17 @@ impl Engine<'_> {
                 }
                 None => self.workers.last_words = line,
             },
-            ProcessEvent::End(reason) => self.ended(worker, reason, events),
+            ProcessEvent::End(reason) => {
+                if let Some(link) = self.workers.links.get_mut(&worker) {
+                    link.ended = Some((reason, Instant::now()));
+                    link.line.close();
+                }
+                self.lost(worker, events);
+            }
         }
     }
 
-    /// Handles the end of a process: it counts as lost after all its messages are read.
-    fn ended(&mut self, worker: WorkerId, reason: Reason, events: &mut Events) {
-        if let Some(link) = self.workers.links.get_mut(&worker) {
-            link.ended = Some((reason, Instant::now()));
-            link.line.close();
-        }
-        self.lost(worker, events);
-    }
-
+    /// Removes a worker whose process has ended and whose messages are all read.
     pub(super) fn lost(&mut self, worker: WorkerId, events: &mut Events) {
         let Some(link) = self.workers.links.get(&worker) else { return };
         let reason = match link.ended {

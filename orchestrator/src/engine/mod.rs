@@ -27,7 +27,6 @@ use metasense_worker::process;
 use tokio::sync::mpsc;
 
 pub use begin::{RerunPolicy, begin, reopen};
-pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
 
 use begin::Bodies;
@@ -37,6 +36,7 @@ use links::Workers;
 use spent::Ledger;
 use steer::PendingRequest;
 
+use crate::control::Control;
 use crate::exit::remedy;
 use crate::files::host;
 use crate::fleet::Fleet;
@@ -77,24 +77,16 @@ pub struct Options {
 }
 
 /// Result of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct Summary {
     /// How it ended.
     pub outcome: Outcome,
     /// Whether a stop was requested.
     pub stopping: bool,
-    /// Trials done in this run.
-    pub done: usize,
-    /// Trials that failed in this run.
-    pub failed: usize,
-    /// Trials cancelled in this run.
-    pub given_up: usize,
     /// Messages of outdated attempts.
     pub stale: usize,
-    /// Requested number of workers at the end.
-    pub workers: u32,
-    /// Whether the run ended during a pause.
-    pub paused: bool,
+    /// Trials by how they ended, and the workers at the end.
+    pub view: View,
 }
 
 /// Why a run failed.
@@ -118,9 +110,6 @@ pub enum EngineError {
 ///
 /// `work` returns the job of a trial in the form that workers read. Call this from the main thread, because workers die with
 /// the thread that started them.
-///
-/// # Errors
-/// If the machine's limits are too low, nothing can be recorded, or no worker starts.
 pub async fn run<'a>(
     store: &mut Store,
     trials: &[&'a Trial],
@@ -199,14 +188,10 @@ pub async fn run<'a>(
         };
         let Engine { view, state, stale, store_error, workers, watch, .. } = engine;
         watch.end(&view, outcome);
-        let last_words = workers.last_words;
-        let View { done, failed, given_up, workers, paused, .. } = view;
-        let stopping = state.is_stopping();
-        let summary = Summary { outcome, stopping, done, failed, given_up, stale, workers, paused };
         match (outcome, store_error) {
             (_, Some(error)) => Err(error.into()),
-            (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(last_words)),
-            _ => Ok(summary),
+            (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(workers.last_words)),
+            _ => Ok(Summary { outcome, stopping: state.is_stopping(), stale, view }),
         }
     };
     tokio::join!(writing, running).1

@@ -1,59 +1,15 @@
 //! Handles commands to a run: passes them to the scheduler as events and returns its answers.
 
 use std::borrow::Cow;
-use std::cell::RefCell;
 use std::collections::HashSet;
-use std::fmt;
 use std::sync::Arc;
 
 use super::writer::{Entry, NewTrials};
 use super::{Engine, begin};
-use crate::control::{Command, Listener, Reply, Request};
+use crate::control::{Command, Reply, Request, in_words};
 use crate::hashes::position_of;
-use crate::plan::{Plan, Trial, counted};
+use crate::plan::{Plan, Trial};
 use crate::scheduler::{Event, Steer, SteerAnswer};
-
-/// Source of commands to a run.
-pub struct Control {
-    listener: Option<Listener>,
-    reread: Arc<Reread>,
-    /// Plans that were read during the run.
-    plans: RefCell<Vec<Arc<Plan>>>,
-}
-
-/// Reads the spec again; the error is text for people.
-pub type Reread = dyn Fn() -> Result<Plan, String> + Send + Sync;
-
-impl Control {
-    /// Takes commands from a listener, if any.
-    pub fn new(listener: Option<Listener>, reread: Arc<Reread>) -> Self {
-        Self { listener, reread, plans: RefCell::default() }
-    }
-
-    /// Takes no commands.
-    pub fn none() -> Self {
-        Self::new(None, Arc::new(|| Err("this run has no spec file".into())))
-    }
-
-    /// The last plan that was read, starting from `first`, with the trials of earlier plans that it lacks appended.
-    pub fn last_plan(&self, first: Plan) -> Plan {
-        self.plans.borrow().iter().fold(first, |earlier, later| {
-            let own: HashSet<&str> = later.trials.iter().map(|trial| trial.hash.as_str()).collect();
-            let gone = earlier.trials.into_iter().filter(|trial| !own.contains(trial.hash.as_str()));
-            Plan { trials: later.trials.iter().cloned().chain(gone).collect(), ..Plan::clone(later) }
-        })
-    }
-
-    pub(super) async fn next(&self) -> Option<Request> {
-        self.listener.as_ref()?.next().await
-    }
-}
-
-impl fmt::Debug for Control {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Control").field("listener", &self.listener).finish_non_exhaustive()
-    }
-}
 
 /// A request that waits for the scheduler's answer, and text to append to the answer.
 #[derive(Debug)]
@@ -72,7 +28,7 @@ impl Engine<'_> {
             return;
         }
         let steer = match &request.command {
-            Command::State => return self.answer(request, true, self.in_words()),
+            Command::State => return self.answer(request, true, in_words(&self.state, &self.view)),
             Command::Pause => Steer::Pause,
             Command::Resume => Steer::Resume,
             Command::Stop => Steer::Stop,
@@ -93,22 +49,6 @@ impl Engine<'_> {
             }
         };
         events.push_back(Event::Steer(steer, PendingRequest { request, note: String::new() }));
-    }
-
-    /// State of the run as text.
-    fn in_words(&self) -> String {
-        let (state, view) = (&self.state, &self.view);
-        let how = match (state.is_stopping(), state.is_paused()) {
-            (true, _) => "stopping",
-            (false, true) => "paused",
-            (false, false) => "running",
-        };
-        let workers = counted(state.workers() as usize, "worker");
-        let (busy, settled, waiting) = (state.busy(), view.settled(), state.waiting());
-        format!(
-            "{how}: {busy} of {workers} busy, {settled} of {} finished, {waiting} pending",
-            counted(view.total, "trial")
-        )
     }
 
     /// Sends a reloaded plan to the writer, which records new trials.

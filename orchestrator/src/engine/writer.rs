@@ -22,9 +22,7 @@ const BATCH: usize = 128;
 /// A record in the queue.
 #[derive(Debug)]
 pub enum QueuedRecord {
-    /// The start of an attempt.
     Begin(Lease),
-    /// A step.
     Step(Lease, Box<StepRecord>, Arc<Checkpoint>),
     /// A checkpoint of the final evaluation.
     Checkpoint(Lease, Arc<Checkpoint>),
@@ -34,11 +32,10 @@ pub enum QueuedRecord {
     Failure(Lease, Reason, bool),
     /// CPU seconds of an attempt so far.
     Spent(Lease, f64),
-    /// A log line of an attempt.
     Log(Lease, Level, String),
     /// Request for a trial's checkpoint, of at most this many steps.
     Load(WorkerId, Lease, Option<u32>),
-    /// The cancellation of a pending trial.
+    /// Of a pending trial.
     Cancelled(Lease),
 }
 
@@ -54,7 +51,6 @@ pub enum Entry {
 /// New trials of a reloaded plan.
 #[derive(Debug)]
 pub struct NewTrials {
-    /// The plan.
     pub plan: Arc<Plan>,
     /// Trials that are new to the run: index in the plan, and state after earlier runs.
     pub trials: Vec<(usize, PriorProgress)>,

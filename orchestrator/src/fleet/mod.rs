@@ -103,12 +103,7 @@ impl Fleet {
 
     /// CPU seconds that all threads of a worker have used so far.
     pub fn cpu_seconds(&self, worker: WorkerId) -> Option<f64> {
-        processes::cpu_seconds(self.pid(worker)?)
-    }
-
-    /// Process id of a worker that has not been removed.
-    pub fn pid(&self, worker: WorkerId) -> Option<u32> {
-        self.processes.get(&worker).map(|process| process.pid)
+        processes::cpu_seconds(self.processes.get(&worker)?.pid)
     }
 }
 

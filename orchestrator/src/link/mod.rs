@@ -80,9 +80,6 @@ impl Channel {
     }
 
     /// Sends without waiting. Returns false if the worker does not read.
-    ///
-    /// # Errors
-    /// If shared memory is full.
     pub fn send(&self, message: &ToWorker) -> Result<bool, LinkError> {
         match &*self.shared.ports.lock().unwrap_or_else(PoisonError::into_inner) {
             None => Ok(false),

@@ -19,9 +19,6 @@ pub(super) struct Combinations {
 
 impl Combinations {
     /// Parses a spec. A key that no trial uses is an error, unless the file uses it and an override has removed these trials.
-    ///
-    /// # Errors
-    /// For the first key that is unknown, has an impossible value, or that no trial uses.
     pub fn of(mut source: Source) -> Result<Self, SpecError> {
         let mut left_out = Vec::new();
         loop {

@@ -17,10 +17,18 @@ fn from_where(path: &Path) -> &'static str {
     if path.exists() { "" } else { "; file names are relative to the folder of the spec" }
 }
 
-/// The error for a file of the body that cannot be read or is invalid.
-fn unread(key: &str, file: &Path, path: &Path, error: &DesignError, source: &Source) -> SpecError {
-    let because = error.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(path)));
-    source.error_with(key, Some(&format!("{file:?}")), &format!("{error}{because}"))
+/// What `read` finds in a file that a key of the body names.
+fn read_file<T>(
+    key: &str,
+    file: &Path,
+    source: &Source,
+    read: impl FnOnce(&Path) -> Result<T, DesignError>,
+) -> Result<T, SpecError> {
+    let path = source.folder().join(file);
+    read(&path).map_err(|error| {
+        let because = error.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(&path)));
+        source.error_with(key, Some(&format!("{file:?}")), &format!("{error}{because}"))
+    })
 }
 
 /// The spec with the polygons of its body's file and their mean lengths, so that the trial's hash depends on the content.
@@ -44,11 +52,7 @@ pub(crate) fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, 
     }
     let (given, name) = match own {
         Own::Given(given) => (given, String::new()),
-        Own::File(file) => {
-            let path = source.folder().join(&file);
-            let read = polygons::read(&path).map_err(|e| unread("body.file", &file, &path, &e, source))?;
-            (read, format!("{file:?}, "))
-        }
+        Own::File(file) => (read_file("body.file", &file, source, polygons::read)?, format!("{file:?}, ")),
     };
     body.file = Some(Own::Given(given));
     let layout =
@@ -71,9 +75,8 @@ pub(super) fn described(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, 
     let asked = external::describe(command, limit);
     let description = asked.map_err(|fault| source.error("body.command", &fault.detail))?;
     if let Some(Design::File(file)) = &spec.body.design {
-        let path = folder.join(file);
-        let read = design::read_array(&path, description.alpha.len());
-        let shifts = read.map_err(|e| unread("body.design", file, &path, &e, source))?;
+        let read = |path: &Path| design::read_array(path, description.alpha.len());
+        let shifts = read_file("body.design", file, source, read)?;
         spec.body.design = Some(Design::Shifts { shifts });
     }
     problem::external::described(&spec, description).map_err(located(source))
@@ -87,8 +90,7 @@ pub(crate) fn with_design(
     source: &Source,
 ) -> Result<Option<Design>, SpecError> {
     let Some(Design::File(file)) = design else { return Ok(design) };
-    let path = source.folder().join(&file);
-    let shifts = design::read(&path, layout).map_err(|e| unread(key, &file, &path, &e, source))?;
+    let shifts = read_file(key, &file, source, |path| design::read(path, layout))?;
     Ok(Some(Design::Shifts { shifts }))
 }
 

@@ -5,9 +5,8 @@
 //! hold is counted and dropped. The scheduler passes records on without reading them ([`Payload`]).
 
 mod bodies;
-mod deaths;
 mod event;
-mod shortage;
+mod fitness;
 mod slot;
 mod steer;
 #[cfg(test)]
@@ -19,15 +18,14 @@ use std::collections::BTreeSet;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-pub use deaths::{UNFIT_DEATHS, UNFIT_TRIALS};
 pub use event::{Action, Event, Outcome, Payload, RecordKind};
+pub use fitness::{UNFIT_DEATHS, UNFIT_TRIALS};
 pub use slot::WorkerId;
 pub use steer::{Steer, SteerAnswer, SteerRefusal};
 pub use trial::{Phase, Prior};
 
 use bodies::Bodies;
-use deaths::Deaths;
-use shortage::Shortage;
+use fitness::{Deaths, Shortage};
 use slot::{Slot, SlotState, with_workers};
 use trial::Trial;
 

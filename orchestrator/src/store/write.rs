@@ -71,10 +71,7 @@ impl Store {
         self.connection.execute(sql).await.map(drop).map_err(self.at(doing))
     }
 
-    /// Last checkpoint of a trial; `None` without one.
-    ///
-    /// # Errors
-    /// `Damaged`, or `Unreadable` if it is of another version.
+    /// Last checkpoint of a trial; `None` without one. Fails with `Damaged`, or with `Unreadable` if it is of another version.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>> {
         let id = self.id(hash)?;
         let stored = bound!(sqlx::query_as("SELECT bytes, digest FROM checkpoint WHERE trial_id = ?"); id)

@@ -65,10 +65,7 @@ struct Place {
 }
 
 impl Source {
-    /// Finds the keys of a text.
-    ///
-    /// # Errors
-    /// If the text is not valid TOML.
+    /// Finds the keys of a text in TOML.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
         let file = file.as_ref().to_owned();
         let layer = Layer { file: file.clone(), text: text.clone() };
@@ -286,10 +283,7 @@ impl Source {
         self.located(place, key.to_owned(), what)
     }
 
-    /// Checks conditions, each given as key, whether it holds, and remedy.
-    ///
-    /// # Errors
-    /// For the first key whose condition does not hold.
+    /// Checks conditions, each given as key, whether it holds, and remedy. The first that does not hold is an error.
     pub fn require(&self, conditions: &[(&str, bool, &str)]) -> Result<(), SpecError> {
         match conditions.iter().find(|(_, holds, _)| !holds) {
             Some((key, _, remedy)) => Err(self.error(key, remedy)),

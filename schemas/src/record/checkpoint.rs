@@ -127,9 +127,6 @@ impl Checkpoint {
     }
 
     /// Decodes a stored checkpoint.
-    ///
-    /// # Errors
-    /// If the bytes have another version or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => match postcard::take_from_bytes(rest) {
