@@ -33,7 +33,7 @@ pub enum StoreError {
     #[error("the database {} is in use by another run; wait for it, or choose another file", .0.display())]
     InUse(PathBuf),
     /// The database files disappeared while it was open for writing.
-    #[error("the database {} {} during the run: {}", path.display(), lost.words(), saved_words(path, saved))]
+    #[error("the database {} {lost} during the run: {}", path.display(), saved_words(path, saved))]
     Lost {
         /// The file.
         path: PathBuf,

@@ -17,32 +17,24 @@ use sqlx::{Connection, Executor};
 use super::{Result, StoreError};
 use crate::files::{self, is_still, resolve_links, sidecar};
 
-/// What happened to the files of an open database.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What happened to the files of an open database, as the predicate of a sentence about it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FileLoss {
     /// The file was deleted.
+    #[error("was deleted")]
     Deleted,
     /// The file or its folder was renamed.
+    #[error("was moved or renamed")]
     Moved,
     /// Another file has taken its path.
+    #[error("was replaced by another file (left unchanged)")]
     Replaced,
     /// The log (-wal) or its index (-shm) was deleted or replaced.
+    #[error("lost its log (-wal, -shm)")]
     Log,
     /// The file was cut short.
+    #[error("was truncated")]
     Truncated,
-}
-
-impl FileLoss {
-    /// The predicate of a sentence about the database.
-    pub(super) fn words(self) -> &'static str {
-        match self {
-            Self::Deleted => "was deleted",
-            Self::Moved => "was moved or renamed",
-            Self::Replaced => "was replaced by another file (left unchanged)",
-            Self::Log => "lost its log (-wal, -shm)",
-            Self::Truncated => "was truncated",
-        }
-    }
 }
 
 /// Device and inode.
