@@ -18,7 +18,9 @@ use crate::cluster::places::{self, HostSlot, LaunchConfig, ShardsOutcome};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::scheduler::{QueueCommands, SchedulerName, SubmitOption};
 use crate::cluster::state::{State, states};
-use crate::cluster::submit::{MERGE, Submission, estimate, line, planned, seconds};
+use crate::cluster::submit::{
+    MERGE, QueueOptions, ShardLimits, Submission, estimate, line, planned, seconds,
+};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
 use crate::files;
@@ -243,23 +245,27 @@ impl Args {
             folder,
             shards,
             which: (1..=shards).collect(),
-            cpus: self.cpus,
-            threads,
-            seconds: self.time.unwrap_or(LIMIT),
-            grace: plan.spec.run.grace,
+            limits: ShardLimits {
+                cpus: self.cpus,
+                threads,
+                seconds: self.time.unwrap_or(LIMIT),
+                grace: plan.spec.run.grace,
+            },
             merges: true,
-            cluster: None,
-            at_most: self.at_most,
+            queue: QueueOptions {
+                cluster: None,
+                at_most: self.at_most,
+                for_shards: for_shards.to_vec(),
+                for_merge: for_merge.to_vec(),
+                most_index: scheduler.queue().map_or(Shard::MOST, QueueCommands::most_index),
+            },
             run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
-            for_shards: for_shards.to_vec(),
-            for_merge: for_merge.to_vec(),
-            most_index: scheduler.queue().map_or(Shard::MOST, QueueCommands::most_index),
         };
         if let Some(unfit) = submission.unfit() {
             return Err(Error::Usage(format!("{unfit}, because it is written into a script")));
         }
-        let (notice, limit) = (submission.notice(), submission.seconds);
-        if submission.has_queue() && submission.grace.is_some() && notice >= limit {
+        let (notice, limit) = (submission.notice(), submission.limits.seconds);
+        if submission.has_queue() && submission.limits.grace.is_some() && notice >= limit {
             return Err(plan
                 .source
                 .error("run.grace", &format!("a shard is stopped {notice} s before its time limit of {limit} s: lower it, or raise --time"))
@@ -374,7 +380,7 @@ impl Program {
 
 /// Prints what will be submitted, with estimated times.
 fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
-    let Submission { shards, which, cpus, seconds, .. } = submission;
+    let Submission { shards, which, limits: ShardLimits { cpus, seconds, .. }, .. } = submission;
     let (mean, longest) = estimate(trials, assignment, *cpus);
     say!(
         "{} in {}, each about {} on {}, the longest {}{}",
@@ -451,11 +457,11 @@ fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
 }
 
 fn launch_config(submission: &Submission) -> LaunchConfig {
-    let Submission { folder, shards, for_shards, .. } = submission;
+    let Submission { folder, shards, queue, .. } = submission;
     LaunchConfig {
         folder: folder.clone(),
         shards: *shards,
-        options: for_shards.clone(),
+        options: queue.for_shards.clone(),
         grace: submission.grace(),
     }
 }

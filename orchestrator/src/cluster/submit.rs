@@ -20,6 +20,35 @@ const QUEUED_GRACE: f64 = (NOTICE - HAND_IN) as f64;
 const MOST_PLANNED: u32 = 1000;
 /// Name of the merge script in the folder.
 pub const MERGE: &str = "merge.sh";
+
+/// Resources of a shard.
+#[derive(Debug, Clone, Copy)]
+pub struct ShardLimits {
+    /// Cores.
+    pub cpus: u32,
+    /// Threads per worker.
+    pub threads: u32,
+    /// Time limit (s).
+    pub seconds: u64,
+    /// Longest wait for steps in progress after a stop (s), if given.
+    pub grace: Option<f64>,
+}
+
+/// How shards are queued.
+#[derive(Debug, Clone)]
+pub struct QueueOptions {
+    /// Slurm cluster for all jobs, if there are several.
+    pub cluster: Option<String>,
+    /// Most simultaneous shards, if limited.
+    pub at_most: Option<u32>,
+    /// Options for the command that submits shards.
+    pub for_shards: Vec<String>,
+    /// Options for the command that submits the merge.
+    pub for_merge: Vec<String>,
+    /// Largest array index.
+    pub most_index: u32,
+}
+
 /// Shards to submit.
 #[derive(Debug, Clone)]
 pub struct Submission {
@@ -39,28 +68,14 @@ pub struct Submission {
     pub shards: u32,
     /// Shards to submit, from 1.
     pub which: Vec<u32>,
-    /// Cores per shard.
-    pub cpus: u32,
-    /// Threads per worker.
-    pub threads: u32,
-    /// Time limit (s).
-    pub seconds: u64,
-    /// Longest wait of a stopped shard for steps in progress (s), if given.
-    pub grace: Option<f64>,
+    /// Resources of each.
+    pub limits: ShardLimits,
     /// Whether a job merges the databases in the end; otherwise the submitting process does.
     pub merges: bool,
-    /// Slurm cluster for all jobs, if there are several.
-    pub cluster: Option<String>,
-    /// Most simultaneous shards, if limited.
-    pub at_most: Option<u32>,
+    /// How they are queued.
+    pub queue: QueueOptions,
     /// Additional options of each shard's `run`.
     pub run: Vec<String>,
-    /// Options for the command that submits shards.
-    pub for_shards: Vec<String>,
-    /// Options for the command that submits the merge.
-    pub for_merge: Vec<String>,
-    /// Largest array index.
-    pub most_index: u32,
 }
 
 /// Shards that are submitted as one job array.
@@ -120,7 +135,7 @@ impl Submission {
 
     /// Longest wait of a stopped shard for steps in progress (s).
     pub fn grace(&self) -> f64 {
-        self.grace.unwrap_or(if self.has_queue() { QUEUED_GRACE } else { GRACE })
+        self.limits.grace.unwrap_or(if self.has_queue() { QUEUED_GRACE } else { GRACE })
     }
 
     /// Time before its time limit at which a shard is stopped (s).
@@ -136,7 +151,7 @@ impl Submission {
 
     /// Number of workers of a shard.
     pub fn workers(&self) -> u32 {
-        (self.cpus / self.threads).max(1)
+        (self.limits.cpus / self.limits.threads).max(1)
     }
 
     /// Arguments of a shard's run; `shard`: the shell variable with its number.
@@ -145,8 +160,9 @@ impl Submission {
         let spec = self.folder.join(SUBMITTED_SPEC).display().to_string();
         let shard = format!("{shard}/{}", self.shards);
         let head = ["run", &spec, "--shard", &shard, "--workers", &workers.to_string()].map(str::to_owned);
-        let tail = ["--threads", &self.threads.to_string(), "--folder", &self.folder.display().to_string()]
-            .map(str::to_owned);
+        let tail =
+            ["--threads", &self.limits.threads.to_string(), "--folder", &self.folder.display().to_string()]
+                .map(str::to_owned);
         let mut more = Vec::new();
         if self.has_queue() {
             more.extend(["--grace".to_owned(), self.grace().to_string()]);
@@ -188,7 +204,7 @@ impl Submission {
 
     /// The job arrays to submit; the scheduler limits their indices.
     pub fn arrays(&self) -> Vec<Array> {
-        let most = self.most_index.max(1);
+        let most = self.queue.most_index.max(1);
         let mut arrays: Vec<Array> = Vec::new();
         for shard in &self.which {
             let offset = (shard - 1) / most * most;

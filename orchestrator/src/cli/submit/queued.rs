@@ -16,7 +16,7 @@ pub(super) fn submit_shards(
     notes: &mut Notes,
 ) -> Result<Vec<Job>, Error> {
     let noting = Error::io("noting what was submitted in", &submission.folder);
-    let cluster = commands.cluster(&submission.for_shards);
+    let cluster = commands.cluster(&submission.queue.for_shards);
     let mut jobs: Vec<Job> = Vec::new();
     for array in submission.arrays() {
         let shards: Vec<u32> = array.indices.iter().map(|index| array.offset + index).collect();
@@ -25,7 +25,7 @@ pub(super) fn submit_shards(
             scheduler: submission.scheduler.name().to_owned(),
             job: String::new(),
             name: Some(name.clone()),
-            cluster: submission.cluster.clone().or_else(|| cluster.clone()),
+            cluster: submission.queue.cluster.clone().or_else(|| cluster.clone()),
             merge_job: None,
             shards: submission.shards,
             offset: array.offset,
@@ -41,7 +41,7 @@ pub(super) fn submit_shards(
         });
         let (number, cluster) = submitted?;
         (job.job, job.cluster) = (number, cluster.clone());
-        submission.cluster = cluster.or(submission.cluster.take());
+        submission.queue.cluster = cluster.or(submission.queue.cluster.take());
         say!("submitted: job {}, shards {}", job.job, ranges(&shards));
         notes.note(&job).map_err(&noting)?;
         jobs.push(job);
@@ -70,7 +70,7 @@ pub(super) fn submit(
     mut jobs: Vec<Job>,
     queue: &Queue,
 ) -> Result<(), Error> {
-    submission.cluster.clone_from(&queue.cluster);
+    submission.queue.cluster.clone_from(&queue.cluster);
     let new = submit_shards(submission, commands, notes)?;
     let (folder, out) = (submission.folder.display(), submission.out.display());
     say!("metasense status --folder {folder} shows the shards");

@@ -49,7 +49,7 @@ pub(super) async fn execute(
     let space = if args.goal { Some(design::space(&plan)?) } else { None };
     let program = Program::of_this_process()?;
     let mut submission = Submission { merges: false, ..args.submission(&plan, shards, &program)? };
-    submission.cluster.clone_from(&queue.cluster);
+    submission.queue.cluster.clone_from(&queue.cluster);
     if args.dry_run {
         print(&submission)?;
         return Ok(Exit::Done);

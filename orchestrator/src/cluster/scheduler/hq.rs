@@ -36,7 +36,7 @@ impl Scheduler for Hq {
 
     fn shard_script(&self, submission: &Submission) -> String {
         let notice = submission.notice();
-        let stop_after = submission.seconds.saturating_sub(notice).max(1);
+        let stop_after = submission.limits.seconds.saturating_sub(notice).max(1);
         format!(
             "#!/bin/sh\n\
              {ABOUT}\
@@ -56,10 +56,10 @@ impl QueueCommands for Hq {
     fn submit_shards(&self, submission: &Submission, array: &Array, name: &str) -> Vec<String> {
         let script = submission.folder.join("shard.sh").display().to_string();
         let indices = ranges(&array.indices);
-        let (cpus, limit) = (submission.cpus.to_string(), format!("{}s", submission.seconds));
+        let (cpus, limit) = (submission.limits.cpus.to_string(), format!("{}s", submission.limits.seconds));
         let options = ["--cpus", &cpus, "--time-limit", &limit, "--stdout", "none", "--stderr", "none"];
         let head = ["hq", "--output-mode=quiet", "submit", "--name", name, "--array", &indices];
-        words(&[&head[..], &options].concat(), &submission.for_shards, &["--", "sh", &script])
+        words(&[&head[..], &options].concat(), &submission.queue.for_shards, &["--", "sh", &script])
     }
 
     /// A queued merge would keep a core from a shard.

@@ -3,7 +3,7 @@
 use super::{QueueCommands, Scheduler, SubmitOption};
 use crate::cluster::queue::{Job, Queue, QueueError, numbers, output};
 use crate::cluster::ranges;
-use crate::cluster::submit::{ABOUT, Array, MERGE, Submission, words};
+use crate::cluster::submit::{ABOUT, Array, MERGE, ShardLimits, Submission, words};
 use crate::exit::Exit;
 
 /// Default `MaxArraySize`: one more than the largest array index.
@@ -38,7 +38,8 @@ impl Scheduler for Slurm {
     }
 
     fn shard_script(&self, submission: &Submission) -> String {
-        let (Submission { name, cpus, shards, .. }, notice) = (submission, submission.notice());
+        let (Submission { name, shards, limits: ShardLimits { cpus, .. }, .. }, notice) =
+            (submission, submission.notice());
         format!(
             "#!/bin/sh\n\
              #SBATCH --job-name={name}\n\
@@ -64,7 +65,7 @@ impl Scheduler for Slurm {
                exec scontrol requeue \"$SLURM_JOB_ID\"\n\
              fi\n\
              exit $code\n",
-            clock(submission.seconds),
+            clock(submission.limits.seconds),
             directive(submission, &format!("shard-%a-of-{shards}.out")),
             submission.run("$shard", None),
             Exit::Interrupted as u8,
@@ -99,7 +100,7 @@ impl QueueCommands for Slurm {
 
     fn submit_shards(&self, submission: &Submission, array: &Array, name: &str) -> Vec<String> {
         let script = submission.folder.join("shard.sh").display().to_string();
-        let throttle = submission.at_most.map_or(String::new(), |most| format!("%{most}"));
+        let throttle = submission.queue.at_most.map_or(String::new(), |most| format!("%{most}"));
         let which = format!("--array={}{throttle}", ranges(&array.indices));
         let offset = array.offset.to_string();
         let file = format!("shard-%a+{offset}-of-{}.out", submission.shards);
@@ -112,13 +113,13 @@ impl QueueCommands for Slurm {
             tail.push(&offset);
         }
         let named = [vec![format!("--job-name={name}")], on_cluster(submission)].concat();
-        words(&head, &[&submission.for_shards[..], &named].concat(), &tail)
+        words(&head, &[&submission.queue.for_shards[..], &named].concat(), &tail)
     }
 
     fn submit_merge(&self, submission: &Submission, jobs: &[String]) -> Option<Vec<String>> {
         let script = submission.folder.join(MERGE).display().to_string();
         let after = format!("--dependency=afterany:{}", jobs.join(":"));
-        let options = [&submission.for_merge[..], &on_cluster(submission)].concat();
+        let options = [&submission.queue.for_merge[..], &on_cluster(submission)].concat();
         Some(words(&["sbatch", "--parsable", &after], &options, &[&script]))
     }
 
@@ -175,7 +176,7 @@ fn max_array_size() -> Option<u32> {
 
 /// Option for the cluster: jobs can depend only on jobs of the same cluster.
 fn on_cluster(submission: &Submission) -> Vec<String> {
-    submission.cluster.iter().map(|cluster| format!("--clusters={cluster}")).collect()
+    submission.queue.cluster.iter().map(|cluster| format!("--clusters={cluster}")).collect()
 }
 
 /// The clusters in options of `sbatch`.
