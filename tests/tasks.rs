@@ -201,13 +201,16 @@ fn a_goal_can_require_tasks() {
     refused(&constant, "goal.tasks.count = 5.0: its label is the same in all training samples");
 }
 
-/// The readouts of a trial in C give the trial's errors and estimates; with other weights their test fails. ONNX is refused.
+/// The readouts of a trial in C give the trial's errors, if blocks are single instants, and estimates; with other weights their test
+/// fails. ONNX is refused.
 #[test]
 fn readouts_are_exported_as_c() {
     let bench = Bench::new();
-    let spec = with_samples()
-        .replace("iterations = 4\nbatch = 4", "iterations = 3\nbatch = 24")
-        .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.task\" = [\"panel\", \"position\", \"all\"]");
+    let spec = with_samples().replace("iterations = 4\nbatch = 4", "iterations = 3\nbatch = 24").replace(
+        "sensors = [1, 2]",
+        "sensors = [1]\npoints = [{ \"brain.task\" = \"panel\" }, { \"brain.task\" = \"position\" }, \
+             { \"brain.task\" = \"all\" }, { \"brain.task\" = \"all\", \"time.samples\" = 70 }]",
+    );
     bench.file("s.toml", &format!("{spec}[evaluation]\ntasks = true\n"));
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     let trials: Vec<Value> = serde_json::from_str(&bench.output(&[
@@ -219,7 +222,7 @@ fn readouts_are_exported_as_c() {
         "json",
     ]))
     .unwrap();
-    assert_eq!(trials.len(), 3);
+    assert_eq!(trials.len(), 4);
     for trial in &trials {
         let hash = trial["hash"].as_str().unwrap();
         let export = |format: &str, numbers: &str| {
@@ -237,7 +240,13 @@ fn readouts_are_exported_as_c() {
             let wrong = source.replacen(&weight, other, 1);
             let (passes, _) = compiled("cc", std::iter::empty(), &wrong, &bench.path(""));
             assert!(!passes || trial["trained_for"] == "all", "{trial} {numbers}: other weights");
-            if numbers == "i8" {
+            let blocks = [
+                ("BRAIN_INSTANTS 20", "BLOCK 1", "BLOCKS 20"),
+                ("BRAIN_INSTANTS 70", "BLOCK 3", "BLOCKS 24"),
+            ];
+            let has = |line: &str| source.contains(&format!("#define {line}\n"));
+            assert!(blocks.iter().any(|(instants, block, count)| has(instants) && has(block) && has(count)));
+            if numbers == "i8" || !has("BLOCK 1") {
                 continue;
             }
             let errors: Vec<(String, f64)> = serde_json::from_str(trial["errors"].as_str().unwrap()).unwrap();
