@@ -348,7 +348,10 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(r.value->>'$.interval[0]' AS REAL) AS low, CAST(r.value->>'$.interval[1]' AS REAL) AS high,
   CAST(r.value->>'$.least' AS REAL) AS least, CAST(r.value->>'$.trivial' AS REAL) AS trivial,
   CAST(r.value->>'$.samples' AS INTEGER) AS samples, CAST(r.value->>'$.score' AS REAL) AS score,
-  CAST(r.value->'$.detail' AS TEXT) AS detail
+  CAST(r.value->'$.detail' AS TEXT) AS detail, CAST(r.value->>'$.casts' AS REAL) AS casts,
+  CAST(r.value->>'$.log_loss' AS REAL) AS log_loss,
+  CAST(r.value->>'$.calibration_error' AS REAL) AS calibration_error,
+  CAST(r.value->'$.reliability' AS TEXT) AS reliability
 FROM trial t, json_each(t.result, '$.tasks') r;
 
 CREATE VIEW v_under AS

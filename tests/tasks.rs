@@ -139,6 +139,17 @@ fn a_trial_stores_its_tasks() {
         "SELECT body, task, readout, error, low, high, least, trivial, samples, score FROM v_task",
     );
     assert_eq!(stored.lines().count(), 1 + computed.len());
+    let classes = "task IN ('panel', 'count', 'kind') AND readout = 'direct'";
+    let calibrated = |of: &str| {
+        let sql =
+            format!("SELECT count(*) FROM v_task WHERE ({of}) AND log_loss > 0 AND calibration_error >= 0");
+        bench.number("on.sqlite", &sql)
+    };
+    assert!(calibrated(classes) > 0 && calibrated(classes) == calibrated("1"));
+    assert_eq!(
+        bench.number("on.sqlite", &format!("SELECT count(*) FROM v_task WHERE {classes}")),
+        calibrated("1")
+    );
 
     // gain per task, as an answer, in the report, and the same as in the table of `body tasks`
     let answer = bench.output(&["analyse", "on.sqlite", "--question", "tasks", "--format", "csv"]);
@@ -157,6 +168,7 @@ fn a_trial_stores_its_tasks() {
     for words in [
         "What does training gain for other sensing tasks?",
         "panel, trained body (%)",
+        "panel, frequency of a class with this probability (%)",
         "position, mean error (mm)",
     ] {
         assert!(page.contains(words), "{words}");
@@ -167,8 +179,15 @@ fn a_trial_stores_its_tasks() {
     // a database of an earlier build
     execute(&bench.path("on.sqlite"), "DROP VIEW v_task");
     assert_eq!(query("on", "SELECT count(*) FROM v_task").lines().last(), Some(&*computed.len().to_string()));
+    execute(&bench.path("on.sqlite"), "CREATE VIEW v_task AS SELECT hash FROM trial");
+    assert_eq!(
+        query("on", "SELECT count(task) FROM v_task").lines().last(),
+        Some(&*computed.len().to_string())
+    );
     bench.output(&["run", "off.toml", "--db", "on.sqlite"]);
-    assert_eq!(query("on", "SELECT count(*) FROM sqlite_schema WHERE name = 'v_task'"), "count(*)\n1\n");
+    let current =
+        "SELECT count(*) FROM sqlite_schema WHERE name = 'v_task' AND sql LIKE '%calibration_error%'";
+    assert_eq!(bench.number("on.sqlite", current), 1);
 }
 
 /// A requirement per task excludes designs; without stored tasks, or for a constant label, it is refused.

@@ -69,7 +69,11 @@ pub const VIEWS: &[(&str, &str)] = &[
         "error of a readout of a sensing task on the initial or the trained body (`evaluation.tasks`), in `unit`, with its 95 % interval \
          over held-out samples: `direct`: fitted to the signals; `decoded`: from the forces that a linear decoder estimates; `trivial`: \
          error of the best estimate without signals; `least`: resolution of the error; `score`: balanced accuracy (%) of classes, R² of \
-         values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm), samples]",
+         values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm), samples]; `casts`: \
+         mean error over casts (`evaluation.casts`) of the readout fitted to the body as designed; of direct \
+         readouts of classes, `log_loss`: mean of −ln p of the true class (probabilities by temperature scaling); `calibration_error`: \
+         expected difference between probability and frequency (%); `reliability` (JSON), per tenth of the probability: [mean probability \
+         of the estimated class, its frequency, samples]",
     ),
     (
         "v_network",

@@ -4,9 +4,11 @@
 //! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean. Samples without
 //! force and failed samples are not used.
 
+mod calibration;
 mod estimates;
 mod weights;
 
+pub use calibration::Calibration;
 pub use estimates::TaskEstimate;
 pub(crate) use estimates::task_estimates;
 pub(crate) use weights::task_readouts;
