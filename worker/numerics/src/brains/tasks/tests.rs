@@ -119,10 +119,11 @@ fn the_gradient_of_the_loss_is_exact() {
     let (x, tasks) = records();
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
     let direction: Vec<f64> = x.iter().map(|_| stream.normal()).collect();
-    for tasks in [&tasks[..1], &tasks[1..], &tasks] {
+    let worst = Readout::new(&x, &tasks).fits.iter().map(TaskFit::loss).fold(0.0, f64::max);
+    for (tasks, worst) in [(&tasks[..1], None), (&tasks[1..], None), (&tasks, None), (&tasks, Some(worst))] {
         let at = |step: f64| {
             let x: Vec<f64> = x.iter().zip(&direction).map(|(x, d)| x + step * d).collect();
-            Readout::new(&x, tasks)
+            Readout { worst: worst.is_some(), ..Readout::new(&x, tasks) }
         };
         let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
         let gradient = start.loss_vjp();
@@ -131,6 +132,7 @@ fn the_gradient_of_the_loss_is_exact() {
         let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
         assert!(orders.iter().all(|order| (1.8..2.2).contains(order)), "{slope:e} {orders:?} {remainders:?}");
         assert!(slope.abs() > 1e-3 && start.loss() > 0.01 && start.loss() < 1.0, "{slope} {}", start.loss());
+        assert!(worst.is_none_or(|worst| worst == start.loss()));
         let radial: f64 = gradient.iter().zip(&x).map(|(g, x)| g * x).sum();
         assert!(radial.abs() < 1e-9, "{radial}");
     }
