@@ -47,8 +47,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Format::Table => {
             let all = results(&trials.iter().collect::<Vec<_>>());
             let mut means = table(&all);
-            if means.rows.iter().all(|row| row.last().is_some_and(Value::is_null)) {
-                means.drop_columns(&["elbow"]);
+            for column in ["elbow", "ratio_by_placement"] {
+                let at = means.column(column);
+                if means.rows.iter().all(|row| row[at].is_null()) {
+                    means.drop_columns(&[column]);
+                }
             }
             print_rows(&means, Format::Table)?;
             if let Some(matrix) = matrix(&all) {
