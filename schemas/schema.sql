@@ -374,7 +374,10 @@ LEFT JOIN band s ON s.trial_id = c.trial_id AND s.body = c.body AND s.casting = 
 -- interval over held-out samples: `direct`: fitted to the signals; `decoded`: from the forces that a linear decoder estimates;
 -- `trivial`: error of the best estimate without signals; `least`: resolution of the error; `score`: balanced accuracy (%) of
 -- classes, R² of values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm),
--- samples]
+-- samples]; `casts`: mean error over casts (`evaluation.casts`) of the readout fitted to the body as designed; of direct
+-- readouts of classes, `log_loss`: mean of −ln p of the true class (probabilities by temperature scaling); `calibration_error`:
+-- expected difference between probability and frequency (%); `reliability` (JSON), per tenth of the probability: [mean probability
+-- of the estimated class, its frequency, samples]
 CREATE VIEW v_task AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
@@ -385,7 +388,10 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(r.value->>'$.interval[0]' AS REAL) AS low, CAST(r.value->>'$.interval[1]' AS REAL) AS high,
   CAST(r.value->>'$.least' AS REAL) AS least, CAST(r.value->>'$.trivial' AS REAL) AS trivial,
   CAST(r.value->>'$.samples' AS INTEGER) AS samples, CAST(r.value->>'$.score' AS REAL) AS score,
-  CAST(r.value->'$.detail' AS TEXT) AS detail
+  CAST(r.value->'$.detail' AS TEXT) AS detail, CAST(r.value->>'$.casts' AS REAL) AS casts,
+  CAST(r.value->>'$.log_loss' AS REAL) AS log_loss,
+  CAST(r.value->>'$.calibration_error' AS REAL) AS calibration_error,
+  CAST(r.value->'$.reliability' AS TEXT) AS reliability
 FROM trial t, json_each(t.result, '$.tasks') r;
 
 -- error (%) of a linear decoder on the initial or the trained body under one kind of forces (`evaluation.under`), for any

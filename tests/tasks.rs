@@ -95,6 +95,18 @@ fn a_sweep_trains_a_body_per_task() {
     let with_memory = spec.replace("kind = \"linear\"\n", "kind = \"linear\"\nmemory = [0.1, 0.0]\n");
     let (own, short) = (hashes("s.toml", &spec), hashes("t.toml", &with_memory));
     assert_eq!([0, 1, 2].map(|i| own[i] == short[i]), [false, true, true], "only forces use the memory");
+
+    // the worst of the tasks trains another body, without casts
+    let worst = spec.replace("[\"forces\", \"impulse\", \"all\"]", "[\"all\"]");
+    bench.file("w.toml", &worst.replace("batch = 24", "batch = 24\nobjective = \"worst\""));
+    bench.output(&["run", "w.toml", "--db", "w.sqlite"]);
+    let trained = |db: &str| {
+        let sql = "SELECT v.error_optimised FROM v_trial v JOIN trial t USING (hash) WHERE t.spec->>'$.brain.task' = 'all'";
+        bench.output(&["query", db, sql, "--format", "csv"])
+    };
+    assert_ne!(trained("w.sqlite"), trained("s.sqlite"));
+    let casts = "SELECT count(spec->>'$.optimise.casts') FROM trial";
+    assert_eq!(bench.number("w.sqlite", casts), 0);
 }
 
 /// With `evaluation.tasks`, a trial stores the rows that `body tasks` otherwise computes, and nothing else changes: hashes without
@@ -139,6 +151,17 @@ fn a_trial_stores_its_tasks() {
         "SELECT body, task, readout, error, low, high, least, trivial, samples, score FROM v_task",
     );
     assert_eq!(stored.lines().count(), 1 + computed.len());
+    let classes = "task IN ('panel', 'count', 'kind') AND readout = 'direct'";
+    let calibrated = |of: &str| {
+        let sql =
+            format!("SELECT count(*) FROM v_task WHERE ({of}) AND log_loss > 0 AND calibration_error >= 0");
+        bench.number("on.sqlite", &sql)
+    };
+    assert!(calibrated(classes) > 0 && calibrated(classes) == calibrated("1"));
+    assert_eq!(
+        bench.number("on.sqlite", &format!("SELECT count(*) FROM v_task WHERE {classes}")),
+        calibrated("1")
+    );
 
     // gain per task, as an answer, in the report, and the same as in the table of `body tasks`
     let answer = bench.output(&["analyse", "on.sqlite", "--question", "tasks", "--format", "csv"]);
@@ -157,6 +180,7 @@ fn a_trial_stores_its_tasks() {
     for words in [
         "What does training gain for other sensing tasks?",
         "panel, trained body (%)",
+        "panel, frequency of a class with this probability (%)",
         "position, mean error (mm)",
     ] {
         assert!(page.contains(words), "{words}");
@@ -167,8 +191,15 @@ fn a_trial_stores_its_tasks() {
     // a database of an earlier build
     execute(&bench.path("on.sqlite"), "DROP VIEW v_task");
     assert_eq!(query("on", "SELECT count(*) FROM v_task").lines().last(), Some(&*computed.len().to_string()));
+    execute(&bench.path("on.sqlite"), "CREATE VIEW v_task AS SELECT hash FROM trial");
+    assert_eq!(
+        query("on", "SELECT count(task) FROM v_task").lines().last(),
+        Some(&*computed.len().to_string())
+    );
     bench.output(&["run", "off.toml", "--db", "on.sqlite"]);
-    assert_eq!(query("on", "SELECT count(*) FROM sqlite_schema WHERE name = 'v_task'"), "count(*)\n1\n");
+    let current =
+        "SELECT count(*) FROM sqlite_schema WHERE name = 'v_task' AND sql LIKE '%calibration_error%'";
+    assert_eq!(bench.number("on.sqlite", current), 1);
 }
 
 /// A requirement per task excludes designs; without stored tasks, or for a constant label, it is refused.
@@ -201,13 +232,16 @@ fn a_goal_can_require_tasks() {
     refused(&constant, "goal.tasks.count = 5.0: its label is the same in all training samples");
 }
 
-/// The readouts of a trial in C give the trial's errors and estimates; with other weights their test fails. ONNX is refused.
+/// The readouts of a trial in C give the trial's errors, if blocks are single instants, and estimates; with other weights their test
+/// fails. ONNX is refused.
 #[test]
 fn readouts_are_exported_as_c() {
     let bench = Bench::new();
-    let spec = with_samples()
-        .replace("iterations = 4\nbatch = 4", "iterations = 3\nbatch = 24")
-        .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.task\" = [\"panel\", \"position\", \"all\"]");
+    let spec = with_samples().replace("iterations = 4\nbatch = 4", "iterations = 3\nbatch = 24").replace(
+        "sensors = [1, 2]",
+        "sensors = [1]\npoints = [{ \"brain.task\" = \"panel\" }, { \"brain.task\" = \"position\" }, \
+             { \"brain.task\" = \"all\" }, { \"brain.task\" = \"all\", \"time.samples\" = 70 }]",
+    );
     bench.file("s.toml", &format!("{spec}[evaluation]\ntasks = true\n"));
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     let trials: Vec<Value> = serde_json::from_str(&bench.output(&[
@@ -219,7 +253,7 @@ fn readouts_are_exported_as_c() {
         "json",
     ]))
     .unwrap();
-    assert_eq!(trials.len(), 3);
+    assert_eq!(trials.len(), 4);
     for trial in &trials {
         let hash = trial["hash"].as_str().unwrap();
         let export = |format: &str, numbers: &str| {
@@ -237,7 +271,13 @@ fn readouts_are_exported_as_c() {
             let wrong = source.replacen(&weight, other, 1);
             let (passes, _) = compiled("cc", std::iter::empty(), &wrong, &bench.path(""));
             assert!(!passes || trial["trained_for"] == "all", "{trial} {numbers}: other weights");
-            if numbers == "i8" {
+            let blocks = [
+                ("BRAIN_INSTANTS 20", "BLOCK 1", "BLOCKS 20"),
+                ("BRAIN_INSTANTS 70", "BLOCK 3", "BLOCKS 24"),
+            ];
+            let has = |line: &str| source.contains(&format!("#define {line}\n"));
+            assert!(blocks.iter().any(|(instants, block, count)| has(instants) && has(block) && has(count)));
+            if numbers == "i8" || !has("BLOCK 1") {
                 continue;
             }
             let errors: Vec<(String, f64)> = serde_json::from_str(trial["errors"].as_str().unwrap()).unwrap();

@@ -356,6 +356,14 @@ pub struct TaskReading {
     /// Of a class, true class, estimated class, number of samples; of a position, panel with the greatest force, mean error (mm),
     /// number of samples; else empty.
     pub detail: Vec<[f64; 3]>,
+    /// Mean error over casts (`evaluation.casts`), with the readout fitted to the body as designed.
+    pub casts: Option<f64>,
+    /// Mean of −ln p of the true class; `None` for values and decoded forces.
+    pub log_loss: Option<f64>,
+    /// Expected calibration error of these probabilities (%).
+    pub calibration_error: Option<f64>,
+    /// Per tenth of the probability of the estimated class: mean probability, frequency as the true class, number of samples.
+    pub reliability: Vec<[f64; 3]>,
 }
 
 impl TaskReading {

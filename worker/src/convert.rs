@@ -239,6 +239,10 @@ pub fn task_readings(body: usize, found: &[brains::TaskEstimate]) -> Vec<TaskRea
         samples: estimate.samples as u32,
         score: finite(Some(estimate.score)),
         detail: estimate.detail.clone(),
+        casts: estimate.casts,
+        log_loss: estimate.calibration.as_ref().map(|of| of.log_loss),
+        calibration_error: estimate.calibration.as_ref().map(|of| of.error),
+        reliability: estimate.calibration.as_ref().map_or_else(Vec::new, |of| of.bins.clone()),
     };
     found.iter().map(reading).collect()
 }

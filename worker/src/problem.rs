@@ -101,6 +101,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
             coarse: coarse.as_ref().filter(|_| coarsens).map(solver),
             casting: casting(trial)?,
+            worst_task: worst_task(trial),
         },
         evaluation: Evaluation {
             seeds: trial.evaluation.networks(),
@@ -163,17 +164,11 @@ fn with_force(forces: &Forces) -> usize {
 
 /// The quantities that readouts estimate; empty: the decoder estimates forces.
 fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
-    let task = match trial.brain.task {
-        spec::Task::Forces => return Ok(Vec::new()),
-        spec::Task::Panel => Some(Task::Panel),
-        spec::Task::Count => Some(Task::Count),
-        spec::Task::Position => Some(Task::Position),
-        spec::Task::Peak => Some(Task::Peak),
-        spec::Task::Impulse => Some(Task::Impulse),
-        spec::Task::Onset => Some(Task::Onset),
-        spec::Task::Kind => Some(Task::Kind),
-        spec::Task::All => None,
-    };
+    if trial.brain.task.is_forces() {
+        return Ok(Vec::new());
+    }
+    // none: all of them
+    let task = Task::ALL.into_iter().find(|task| task.name().0 == trial.brain.task.name());
     let check =
         |holds: bool, remedy: &str| require(holds, "brain.task", as_written(&trial.brain.task), remedy);
     let linear = trial.brain.kind == spec::BrainKind::Linear && trial.optimise.linear();
@@ -183,11 +178,10 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
         differentiable,
         "set optimise.protocol = \"joint\" or \"random\": \"paper\" trains for forces only",
     )?;
-    let designed = trial.variation.is_none() && trial.optimise.objective.is_none();
-    check(
-        designed,
-        "remove [variation] and optimise.objective: bodies are trained for this task as designed only",
-    )?;
+    let designed = trial.variation.is_none() && (worst_task(trial) || trial.optimise.objective.is_none());
+    let remedy = "remove [variation] and optimise.objective: bodies are trained for this task as designed only \
+                  (\"all\" can have the objective \"worst\")";
+    check(designed, remedy)?;
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
     }
@@ -198,6 +192,12 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
     check(!varied.is_empty(), remedy)?;
     at_least("stimuli.test", trial.stimuli.test, RECORDS_MIN)?;
     Ok(varied)
+}
+
+/// Whether the body is trained for the worst of several tasks.
+fn worst_task(trial: &TrialSpec) -> bool {
+    let worst = spec::Objective::Named(spec::ObjectiveName::Worst);
+    trial.brain.task == spec::Task::All && trial.optimise.objective == Some(worst)
 }
 
 /// The part of a problem that its body gives.

@@ -109,10 +109,21 @@ fn elbow_text(own: &[&TaskResult]) -> Option<String> {
     elbow(&points, ErrorScale::Logarithm).ok().map(|found| verdict_text(found.verdict))
 }
 
+/// Ratio of each placement, such as `0: 1.8, 1: 2.3`; `None` for a single placement.
+fn by_placement(own: &[&TaskResult]) -> Option<String> {
+    let placements = distinct(own.iter().map(|read| read.cluster.placement));
+    let of = |placement: &u64| {
+        let own: Vec<&TaskResult> =
+            own.iter().copied().filter(|read| read.cluster.placement == *placement).collect();
+        Some(format!("{placement}: {:.3}", ratio(&own)?.ratio))
+    };
+    (placements.len() > 1).then(|| placements.iter().filter_map(of).collect::<Vec<_>>().join(", "))
+}
+
 /// Returns one row per setting, M, training, task and readout: means over trials, the ratio initial/trained with its 95 % interval
-/// over placements and seeds, and the elbow of the trained body's error against M, over all M.
+/// over placements and seeds, the ratio of each placement if there are several, and the elbow of the trained body's error against M, over all M.
 pub fn table(all: &[TaskResult]) -> Table {
-    let columns = "setting M trained_for task readout unit trials trivial initial optimised ratio ratio_low ratio_high elbow";
+    let columns = "setting M trained_for task readout unit trials trivial initial optimised ratio ratio_low ratio_high ratio_by_placement elbow";
     let kinds = distinct(all.iter().map(|read| (&read.trained_for, read.kind())));
     // the curve against M to which a result belongs
     let curve = |read: &TaskResult| {
@@ -133,7 +144,12 @@ pub fn table(all: &[TaskResult]) -> Table {
         let errors =
             row![mean(&|read| read.trivial), mean(&|read| read.errors[0]), mean(&|read| read.errors[1])];
         let [low, high] = [interval.map(|i| i.low), interval.map(|i| i.high)];
-        [head, errors, row![found.map(|ratio| ratio.ratio), low, high, elbows[&curve(own[0])]]].concat()
+        [
+            head,
+            errors,
+            row![found.map(|ratio| ratio.ratio), low, high, by_placement(&own), elbows[&curve(own[0])]],
+        ]
+        .concat()
     };
     Table::new(columns, kinds.into_iter().map(line))
 }

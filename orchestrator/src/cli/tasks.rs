@@ -17,13 +17,15 @@ use crate::reader::StoredTrial;
 ///
 /// Each quantity (task) is estimated in two ways on the held-out set. `direct`: ridge regression on the signals of the whole
 /// record. `decoded`: from the forces that a linear decoder estimates. The table has means over the trials of a setting, the error
-/// of a predictor without signals (trivial), and the ratio initial / trained with its 95 % interval over seeds and placements;
-/// in it an error counts at least as half of one sample's. If bodies were trained for several tasks (brain.task), a transfer matrix
+/// of a predictor without signals (trivial), and the ratio initial / trained with its 95 % interval over seeds and placements; in
+/// it an error counts at least as half of one sample's. If bodies were trained for several tasks (brain.task), a transfer matrix
 /// follows: this ratio per task and training. Other formats have one row per trial, body, task and readout, with a 95 % interval
-/// over samples and a score: balanced accuracy (%) of classes, R² of values. Tasks: forces (% of their squares); panel, the panel
-/// with the greatest force (% wrong); count, the number of panels with more than a tenth of it (% wrong); position, the panels'
-/// mean position weighted by impulse (mm); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds a tenth of
-/// the greatest (ms); kind, the part of `stimuli.mix` (% wrong; direct only). A task whose label is the same in all samples is omitted.
+/// over samples and a score: balanced accuracy (%) of classes, R² of values; with `evaluation.casts` the mean error over casts;
+/// and, for direct readouts of classes, log loss and calibration error (%) of their probabilities. Tasks: forces (% of their
+/// squares); panel, the panel with the greatest force (% wrong); count, the number of panels with more than a tenth of it (%
+/// wrong); position, the panels' mean position weighted by impulse (mm); peak (N) and impulse (mN s) of each panel; onset, when a
+/// force first exceeds a tenth of the greatest (ms); kind, the part of `stimuli.mix` (% wrong; direct only). A task whose label is
+/// the same in all samples is omitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -39,13 +41,17 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !constant.is_empty() {
         say!("omitted, because their labels are the same in all samples: {}", constant.join(", "));
     }
-    let columns = format!("{HEAD} task readout unit error low high least trivial samples score");
+    let further = "casts log_loss calibration_error";
+    let columns = format!("{HEAD} task readout unit error low high least trivial samples score {further}");
     match args.trials.format {
         Format::Table => {
             let all = results(&trials.iter().collect::<Vec<_>>());
             let mut means = table(&all);
-            if means.rows.iter().all(|row| row.last().is_some_and(Value::is_null)) {
-                means.drop_columns(&["elbow"]);
+            for column in ["elbow", "ratio_by_placement"] {
+                let at = means.column(column);
+                if means.rows.iter().all(|row| row[at].is_null()) {
+                    means.drop_columns(&[column]);
+                }
             }
             print_rows(&means, Format::Table)?;
             if let Some(matrix) = matrix(&all) {
@@ -86,10 +92,10 @@ pub(super) fn head(trial: &Trial, body: &str) -> Vec<Value> {
 
 fn rows(trial: &Trial) -> Vec<Vec<Value>> {
     let row = |read: &TaskReading| {
-        let TaskReading { task, readout, unit, error, interval, least, trivial, samples, score, .. } = read;
-        let values =
-            row![task, readout, unit, error, interval[0], interval[1], least, trivial, samples, score];
-        [head(trial, &read.body), values].concat()
+        let TaskReading { task, readout, unit, error, interval: [low, high], least, trivial, .. } = read;
+        let estimate = row![task, readout, unit, error, low, high, least, trivial, read.samples, read.score];
+        let further = row![read.casts, read.log_loss, read.calibration_error];
+        [head(trial, &read.body), estimate, further].concat()
     };
     trial.tasks.iter().map(row).collect()
 }

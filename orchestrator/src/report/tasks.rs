@@ -128,7 +128,8 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         format!(
             "Held-out errors of readouts that are fitted to the signals; forces are decoded. Dots: error of the initial \
              body divided by that of the trained body, geometric means over trials; lines: 95 % intervals. Classes: percentage \
-             of the samples of a true class with each estimate. Position: mean error by the panel with the greatest force. Both \
+             of the samples of a true class with each estimate; frequency with which an estimated class is true, by its probability. \
+             Position: mean error by the panel with the greatest force. All \
              pool the bodies of the first K and M that were trained for the task, or all of them if none was. Last: the ratio \
              of the dots by the task for which the body was trained, for all trainings.{}",
             left_out(found.len(), MOST_SETTINGS)
@@ -161,34 +162,38 @@ fn details(trials: &[&Trial]) -> Vec<Picture> {
         own.map(|(_, read)| read).collect()
     };
     let tasks = in_order(readings().map(|(_, read)| &read.task[..]));
-    let picture = |task: &str| match task {
-        "position" => vec![positions(&label, Body::ALL.map(|body| (body, of(task, body))))],
-        _ => Body::ALL.map(|body| confusion(&label, task, body, &of(task, body))).into(),
+    let picture = |task: &str| {
+        let both = Body::ALL.map(|body| (body, of(task, body)));
+        if task == "position" {
+            let by_panel = |read: &TaskReading| {
+                read.detail.iter().map(|[panel, mean, count]| (*panel as u32, *mean, *count)).collect()
+            };
+            let title = format!("{label}: position, mean error (mm)");
+            return vec![means(&title, ("panel", u32::to_string), &both, by_panel)];
+        }
+        // a mean probability of 1 belongs to the last tenth
+        let tenth =
+            |[p, frequency, count]: &[f64; 3]| ((10.0 * p).min(9.0) as u32, 100.0 * frequency, *count);
+        let by_tenth = |read: &TaskReading| read.reliability.iter().map(tenth).collect();
+        let title = format!("{label}: {task}, frequency of a class with this probability (%)");
+        let range = |tenth: &u32| format!("{} to {}", 10 * tenth, 10 * (tenth + 1));
+        let reliability = means(&title, ("probability (%)", range), &both, by_tenth);
+        let confusions = both.iter().map(|(body, readings)| confusion(&label, task, *body, readings));
+        confusions.chain([reliability]).collect()
     };
     tasks.into_iter().flat_map(picture).collect()
 }
 
-/// Sum of counts, and sum of values weighted by counts, by class.
-fn sums<'a>(
-    readings: impl IntoIterator<Item = &'a &'a TaskReading>,
-    class: impl Fn(&[f64; 3]) -> [u32; 2],
-) -> BTreeMap<[u32; 2], [f64; 2]> {
-    let mut sums = BTreeMap::<_, [f64; 2]>::new();
-    for row in readings.into_iter().flat_map(|read| &read.detail) {
-        let sum = sums.entry(class(row)).or_default();
-        *sum = [sum[0] + row[2], sum[1] + row[2] * row[1]];
-    }
-    sums
-}
-
 fn confusion(label: &str, task: &str, body: Body, readings: &[&TaskReading]) -> Picture {
-    let counts = sums(readings, |row| [row[0] as u32, row[1] as u32]);
+    let mut counts = BTreeMap::<[u32; 2], f64>::new();
+    for [truth, said, count] in readings.iter().flat_map(|read| &read.detail) {
+        *counts.entry([*truth as u32, *said as u32]).or_default() += count;
+    }
     let classes = distinct(counts.keys().flatten().copied());
     let cells = classes.iter().map(|truth| {
-        let all: f64 =
-            classes.iter().filter_map(|said| counts.get(&[*truth, *said])).map(|[count, _]| count).sum();
+        let all: f64 = classes.iter().filter_map(|said| counts.get(&[*truth, *said])).sum();
         let cell = |said: &u32| {
-            let count = counts.get(&[*truth, *said]).map_or(0.0, |[count, _]| *count);
+            let count = counts.get(&[*truth, *said]).copied().unwrap_or_default();
             let part = count / all.max(1.0);
             let title = format!("{task} {truth}, estimated as {said}: {count} of {all} samples");
             Cell { text: format!("{:.0}", 100.0 * part), part, title, to: None }
@@ -201,27 +206,37 @@ fn confusion(label: &str, task: &str, body: Body, readings: &[&TaskReading]) -> 
     grid(&title, ("estimate", &names), ("truth", &names), &cells)
 }
 
-fn positions(label: &str, bodies: [(Body, Vec<&TaskReading>); 2]) -> Picture {
-    let sums = bodies.each_ref().map(|(_, readings)| sums(readings, |row| [row[0] as u32, 0]));
-    let panels = distinct(sums.iter().flat_map(|sums| sums.keys().map(|[panel, _]| *panel)));
-    let means = sums.map(|sums| {
-        let mean = |panel: &u32| sums.get(&[*panel, 0]).map(|[count, sum]| sum / count);
-        panels.iter().map(mean).collect::<Vec<_>>()
+/// Grid of mean values: a row per body, a column per class. `rows` gives classes with their mean value and number of samples.
+fn means(
+    title: &str,
+    (across, name): (&str, impl Fn(&u32) -> String),
+    bodies: &[(Body, Vec<&TaskReading>); 2],
+    rows: impl Fn(&TaskReading) -> Vec<(u32, f64, f64)>,
+) -> Picture {
+    let sums = bodies.each_ref().map(|(_, readings)| {
+        let mut sums = BTreeMap::<u32, [f64; 2]>::new();
+        for (class, value, count) in readings.iter().flat_map(|read| rows(read)) {
+            let sum = sums.entry(class).or_default();
+            *sum = [sum[0] + count, sum[1] + count * value];
+        }
+        sums
     });
-    let most = means.iter().flatten().flatten().copied().fold(f64::MIN_POSITIVE, f64::max);
-    let cell = |mean: &Option<f64>| {
-        let cell = |mean: f64| Cell {
-            text: number(mean),
-            part: mean / most,
-            title: format!("{} mm", number(mean)),
-            to: None,
-        };
-        mean.map(cell).unwrap_or_default()
+    let classes = distinct(sums.iter().flat_map(|sums| sums.keys().copied()));
+    let mean = |[count, sum]: &[f64; 2]| sum / count;
+    let most = sums.iter().flat_map(BTreeMap::values).map(mean).fold(f64::MIN_POSITIVE, f64::max);
+    let cell = |sum: &[f64; 2]| Cell {
+        text: number(mean(sum)),
+        part: mean(sum) / most,
+        title: format!("{}, {} samples", number(mean(sum)), sum[0]),
+        to: None,
     };
-    let cells: Vec<Vec<Cell>> = means.iter().map(|row| row.iter().map(cell).collect()).collect();
-    let names: Vec<String> = panels.iter().map(u32::to_string).collect();
-    let words = bodies.map(|(body, _)| body.word().to_owned());
-    grid(&format!("{label}: position, mean error (mm)"), ("panel", &names), ("body", &words), &cells)
+    let row = |sums: &BTreeMap<u32, [f64; 2]>| {
+        classes.iter().map(|class| sums.get(class).map(cell).unwrap_or_default()).collect()
+    };
+    let cells: Vec<Vec<Cell>> = sums.iter().map(row).collect();
+    let names: Vec<String> = classes.iter().map(name).collect();
+    let words = bodies.each_ref().map(|(body, _)| body.word().to_owned());
+    grid(title, (across, &names), ("body", &words), &cells)
 }
 
 /// Per setting, the gain of each task by the first two trainings; the matrix has all.

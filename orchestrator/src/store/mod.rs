@@ -188,13 +188,16 @@ pub(crate) async fn create(path: &Path) -> Result<()> {
     connection.close().await.map_err(at)
 }
 
-/// Adds the views that an earlier build of this version did not create: `create` is `CREATE`, or `CREATE TEMP` for one connection.
+/// Creates the views that an earlier build of this version did not create or created otherwise: `create` is `CREATE`, or
+/// `CREATE TEMP` for one connection, which hides the stored view.
 pub(crate) async fn add_views(connection: &mut SqliteConnection, create: &str) -> sqlx::Result<()> {
-    let names = "SELECT name FROM sqlite_schema WHERE type = 'view'";
-    let known: Vec<String> = sqlx::query_scalar(names).fetch_all(&mut *connection).await?;
-    for (view, _) in VIEWS.iter().filter(|(view, _)| !known.iter().any(|name| name == view)) {
+    let stored = "SELECT sql || ';' FROM sqlite_schema WHERE type = 'view'";
+    let known: Vec<String> = sqlx::query_scalar(stored).fetch_all(&mut *connection).await?;
+    for (view, _) in VIEWS.iter().filter(|(view, _)| !known.iter().any(|sql| sql == view_sql(view))) {
+        let drop = if create == "CREATE" { format!("DROP VIEW IF EXISTS {view};") } else { String::new() };
         // Safe: contains only our own text.
-        let sql = AssertSqlSafe(view_sql(view).replacen("CREATE", create, 1));
+        let sql =
+            AssertSqlSafe(format!("BEGIN;{drop}{};COMMIT", view_sql(view).replacen("CREATE", create, 1)));
         sqlx::raw_sql(sql).execute(&mut *connection).await?;
     }
     Ok(())

@@ -31,7 +31,7 @@ pub fn tasks(
     Ok(convert::task_readings(body, &found))
 }
 
-/// Readouts of the trial's tasks (`brain.task`) on a body, as in its comparison.
+/// Readouts of the trial's tasks (`brain.task`) on a body, for a device.
 ///
 /// # Errors
 /// If the spec is invalid, the design has the wrong length or cannot be simulated, or there are too few samples.

@@ -39,4 +39,18 @@ fn gains_are_paired_by_trial() {
     assert_eq!([cell(0, "all"), cell(1, "all")].map(|cell| &cell.unwrap()[..4]), ["16.0", "4.00"]);
     assert_eq!((cell(0, "forces"), cell(1, "forces").map(|cell| &cell[..4])), (None, Some("2.00")));
     assert!(super::matrix(&all[..2]).is_none());
+
+    // a second placement, on which training for all tasks gains half as much
+    let place = |read: &TaskResult| TaskResult {
+        cluster: Cluster { placement: 1, ..read.cluster },
+        errors: [0.5 * read.errors[0], read.errors[1]],
+        ..read.clone()
+    };
+    let both: Vec<TaskResult> = all.iter().cloned().chain(all.iter().map(place)).collect();
+    let both = super::table(&both);
+    assert_eq!(both.rows.len(), table.rows.len(), "placements are not settings");
+    assert_eq!(both.rows[1][both.column("ratio_by_placement")], "0: 4.000, 1: 2.000");
+    let pooled = both.rows[1][both.column("ratio")].as_f64().unwrap();
+    assert!((pooled - 8f64.sqrt()).abs() < 1e-9, "{pooled}");
+    assert!(table.rows.iter().all(|row| row[table.column("ratio_by_placement")].is_null()));
 }

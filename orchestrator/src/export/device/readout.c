@@ -12,7 +12,7 @@ int brain_read(const float *reading, float *estimates)
     float scaled[BRAIN_CHANNELS];
     for (int c = 0; c < BRAIN_CHANNELS; c++) scaled[c] = reading[c] / SCALE[c];
     for (int o = 0; o < OUTPUTS; o++) {
-        const weight *w = W + (o * BRAIN_INSTANTS + known) * BRAIN_CHANNELS;
+        const weight *w = W + (o * BLOCKS + known / BLOCK) * BRAIN_CHANNELS;
         if (known == 0) sums[o] = 0.0f;
         for (int c = 0; c < BRAIN_CHANNELS; c++) sums[o] += (float)w[c] * scaled[c];
     }

@@ -21,7 +21,7 @@ struct Rounded<'a> {
     outputs: Vec<Output>,
 }
 
-/// An output: constant + step · Σ weight · signal / scale.
+/// An output: constant + step · Σ weight · sum / scale, of the sums of the signals over blocks of instants.
 struct Output {
     weights: Vec<f64>,
     step: f64,
@@ -36,8 +36,8 @@ impl Output {
         Self { weights: weights.iter().map(|w| round(w / step)).collect(), step, constant: *constant }
     }
 
-    fn value(&self, signals: &[f64], scales: &[f64]) -> f64 {
-        let products = self.weights.iter().zip(signals).zip(scales.iter().cycle());
+    fn value(&self, sums: &[f64], scales: &[f64]) -> f64 {
+        let products = self.weights.iter().zip(sums).zip(scales.iter().cycle());
         self.constant + self.step * products.map(|((w, x), scale)| w * x / scale).sum::<f64>()
     }
 }
@@ -47,9 +47,9 @@ impl<'a> Rounded<'a> {
         Self { of, outputs: of.outputs.iter().map(|output| Output::new(output, numbers)).collect() }
     }
 
-    /// Label of a sample with these signals (T · channels).
-    fn estimate(&self, signals: &[f64], scales: &[f64]) -> Vec<f64> {
-        let values = self.outputs.iter().map(|output| output.value(signals, scales));
+    /// Label of a sample with these sums (blocks · channels).
+    fn estimate(&self, sums: &[f64], scales: &[f64]) -> Vec<f64> {
+        let values = self.outputs.iter().map(|output| output.value(sums, scales));
         self.of.label(&values.collect::<Vec<_>>())
     }
 }
@@ -61,12 +61,14 @@ impl<'a> Rounded<'a> {
 pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) -> Result<String, StoreError> {
     let spec = &stored.specs[body];
     let found = readouts(spec, &stored.designs[body], threads).map_err(unreadable(stored))?;
-    let TaskReadouts { readouts, scales, signals, labels } = &found;
+    let TaskReadouts { readouts, block, scales, signals, sums, labels } = &found;
     let (channels, instants) = (scales.len(), spec.time.samples);
+    let blocks = instants.div_ceil(*block);
     let samples = || signals.chunks_exact(instants * channels);
     let rounded: Vec<Rounded> = readouts.iter().map(|of| Rounded::new(of, numbers)).collect();
-    let estimated: Vec<Vec<Vec<f64>>> =
-        rounded.iter().map(|of| samples().map(|own| of.estimate(own, scales)).collect()).collect();
+    let of_all =
+        |of: &Rounded| sums.chunks_exact(blocks * channels).map(|own| of.estimate(own, scales)).collect();
+    let estimated: Vec<Vec<Vec<f64>>> = rounded.iter().map(of_all).collect();
     let described = readouts.iter().zip(labels).zip(&estimated).map(|((of, truth), estimated)| {
         let ((name, unit), count) = (of.task.name(), estimated.first().map_or(0, Vec::len));
         let what = match of.classes.is_empty() {
@@ -79,7 +81,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
     let all = || rounded.iter().flat_map(|of| &of.outputs);
     let outputs = all().count();
     let classes: Vec<f64> = readouts.iter().flat_map(|of| of.classes.iter().copied()).collect();
-    let bytes = numbers.bytes(false)[0] * outputs * instants * channels;
+    let bytes = numbers.bytes(false)[0] * outputs * blocks * channels;
     let tables = 4 * (2 * outputs + channels + classes.len() + 2 * readouts.len());
     let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
     let mut text = format!(
@@ -98,6 +100,8 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
 #define BRAIN_INSTANTS {instants}
 #define BRAIN_CHANNELS {channels}
 #define BRAIN_ESTIMATES {estimates}
+#define BLOCK {block}
+#define BLOCKS {blocks}
 #define TASKS {tasks}
 #define OUTPUTS {outputs}
 

@@ -31,7 +31,9 @@ pub use records::{HeldOutEstimates, Records};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
-pub use tasks::{Labeller, Labels, RECORDS_MIN, Readout, ReadoutWeights, Task, TaskEstimate, TaskReadouts};
+pub use tasks::{
+    Calibration, Labeller, Labels, RECORDS_MIN, Readout, ReadoutWeights, Task, TaskEstimate, TaskReadouts,
+};
 pub(crate) use tasks::{task_errors, task_estimates, task_readouts};
 
 use crate::brain::{Adam, Architecture, SolveOutcome};

@@ -1,12 +1,14 @@
 //! Sensing tasks besides force histories: which panel, where, how many, how hard, when; all from the same signals.
 //!
 //! A readout is a ridge regression from the signals of the whole record to the labels (`readout`). Classes are ±1; the greatest
-//! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean. Samples without
-//! force and failed samples are not used.
+//! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean, or the
+//! largest. Samples without force and failed samples are not used.
 
+mod calibration;
 mod estimates;
 mod weights;
 
+pub use calibration::Calibration;
 pub use estimates::TaskEstimate;
 pub(crate) use estimates::task_estimates;
 pub(crate) use weights::task_readouts;
@@ -155,6 +157,8 @@ impl Problem {
 pub struct Readout {
     basis: Basis,
     fits: Vec<TaskFit>,
+    /// Whether the loss is that of the worst task.
+    worst: bool,
 }
 
 /// The readout of a task.
@@ -202,7 +206,7 @@ impl Readout {
     pub fn new(signals: &[f64], tasks: &[(Task, Labels)]) -> Self {
         let basis = Basis::new(signals, tasks[0].1.len());
         let fits = tasks.iter().map(|(task, labels)| TaskFit::new(*task, &basis, labels)).collect();
-        Self { basis, fits }
+        Self { basis, fits, worst: false }
     }
 
     /// Estimated labels per task, from the signals (n, p) of any records.
@@ -234,15 +238,21 @@ impl Readout {
         errors
     }
 
-    /// Geometric mean of the tasks' leave-one-out errors 1 − R².
+    /// Geometric mean, or the largest, of the tasks' leave-one-out errors 1 − R².
     pub(crate) fn loss(&self) -> f64 {
-        (self.fits.iter().map(|fit| fit.loss().ln()).sum::<f64>() / self.fits.len() as f64).exp()
+        let losses = self.fits.iter().map(TaskFit::loss);
+        if self.worst {
+            return losses.fold(0.0, f64::max);
+        }
+        (losses.map(f64::ln).sum::<f64>() / self.fits.len() as f64).exp()
     }
 
     /// Cotangent of the loss on the signals (N, p).
     pub(crate) fn loss_vjp(&self) -> Vec<f64> {
-        let part = self.loss() / self.fits.len() as f64;
-        let outputs = self.fits.iter().flat_map(|fit| {
+        let loss = self.loss();
+        let counts = |fit: &&TaskFit| !self.worst || fit.loss() == loss;
+        let part = loss / self.fits.iter().filter(counts).count() as f64;
+        let outputs = self.fits.iter().filter(counts).flat_map(|fit| {
             let factor = part / (fit.loss() * fit.variation);
             fit.outputs.iter().map(move |output| (factor, output))
         });
@@ -257,6 +267,8 @@ struct Labelled {
     /// Signals (n, T·3M), divided by the trial's scales.
     signals: Vec<f64>,
     tasks: Vec<(Task, Labels)>,
+    /// Whether a readout's loss is that of the worst task.
+    worst: bool,
 }
 
 impl Labelled {
@@ -270,7 +282,7 @@ impl Labelled {
         let label = |task: Task, i: usize| labeller.label(task, forces(i), parts[i]);
         let labels = |task: &Task| (*task, used.iter().map(|&i| label(*task, i)).collect::<Labels>());
         let tasks = trial.problem.tasks.iter().map(labels).collect();
-        Self { used, signals, tasks }
+        Self { used, signals, tasks, worst: trial.problem.optimise.worst_task }
     }
 
     /// # Errors
@@ -279,7 +291,7 @@ impl Labelled {
         if self.used.len() < RECORDS_MIN {
             return Err(Trouble::FewForces);
         }
-        let readout = Readout::new(&self.signals, &self.tasks);
+        let readout = Readout { worst: self.worst, ..Readout::new(&self.signals, &self.tasks) };
         let varied = readout.fits.iter().all(|fit| fit.variation > 0.0);
         if varied { Ok(readout) } else { Err(Trouble::FewForces) }
     }

@@ -14,6 +14,7 @@ use crate::trial::{
     BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Spread, Trial, Trouble, as_ref_result,
     mean_error,
 };
+use crate::variation::Casts;
 
 /// A decoder that is still to be fitted to a body: number, iterations, whether the training is a long one.
 type MissingDecoder = (usize, usize, bool);
@@ -78,7 +79,7 @@ pub(super) fn evaluate(
         state.comparison.bodies.push(body);
     }
     if estimates_tasks {
-        let of = |_: &mut Report| as_ref_result(&sets).and_then(|sets| task_estimates(trial, sets));
+        let of = |_: &mut Report| as_ref_result(&sets).and_then(|sets| estimates(mould, sets));
         let found = log.timed(|s| &mut s.train, of);
         state.comparison.tasks.push(found.unwrap_or_default());
     }
@@ -127,26 +128,34 @@ pub(super) fn evaluate(
     Some(())
 }
 
+/// Estimates of all tasks on a body with these training, test and held-out samples, and on its casts.
+fn estimates(mould: &DesignWithSolver, sets: &[Samples; 3]) -> Result<Vec<TaskEstimate>, Trouble> {
+    let (trial, problem) = (mould.trial, &mould.trial.problem);
+    let holdout = |number: usize| {
+        let cast = trial.cast(Casts::Unseen, number as u64);
+        mould.samples(cast.as_ref(), problem.holdout(), &mut Counters::default())
+    };
+    task_estimates(trial, sets, (0..problem.evaluation.casts).map(holdout))
+}
+
 /// Estimates of all tasks on a design, as in the trial's comparison.
 ///
 /// # Errors
 /// If the design cannot be simulated, or gives too few samples with force.
 pub fn estimate_tasks(trial: &Trial, design: &[f64]) -> Result<Vec<TaskEstimate>, Trouble> {
-    task_estimates(trial, &sets_of(trial, design)?)
+    let solver = &trial.tuned(design).solver;
+    let mould = DesignWithSolver { trial, design, solver };
+    estimates(&mould, &sets(&mould, &mut Counters::default())?)
 }
 
-/// Readouts of the trial's tasks on a design, as in the trial's comparison.
+/// Readouts of the trial's tasks on a design, for a device.
 ///
 /// # Errors
 /// As [`estimate_tasks`].
 pub fn fit_readouts(trial: &Trial, design: &[f64]) -> Result<TaskReadouts, Trouble> {
-    task_readouts(trial, &sets_of(trial, design)?)
-}
-
-/// Training, test and held-out samples of a design.
-fn sets_of(trial: &Trial, design: &[f64]) -> Result<[Samples; 3], Trouble> {
     let solver = &trial.tuned(design).solver;
-    sets(&DesignWithSolver { trial, design, solver }, &mut Counters::default())
+    let sets = sets(&DesignWithSolver { trial, design, solver }, &mut Counters::default())?;
+    task_readouts(trial, &sets)
 }
 
 /// Training, test and held-out samples of a body.

@@ -3,7 +3,7 @@
 //! `direct` is ridge regression from the signals of the whole record to the labels ([`Readout`]). `decoded` is the label of
 //! forces that a linear decoder estimates. Samples without force and failed samples are not used.
 
-use super::{Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
+use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
 use crate::brain::linear::Sizes;
 use crate::brain::prediction_error;
 use crate::student::student;
@@ -31,6 +31,10 @@ pub struct TaskEstimate {
     /// Of a class, true class, estimated class, number of samples; of a position, panel with the greatest force, mean error (mm),
     /// number of samples; else empty.
     pub detail: Vec<[f64; 3]>,
+    /// Calibration of the probabilities of a direct readout of classes.
+    pub calibration: Option<Calibration>,
+    /// Mean error over casts of the body, with the readout fitted to the body as designed.
+    pub casts: Option<f64>,
 }
 
 /// Training and test samples of a body.
@@ -50,31 +54,46 @@ struct Observations<'a> {
 }
 
 /// Estimates of the forces, and of all tasks whose labels vary among the training samples, on the held-out set. The training, test
-/// and held-out samples are those of one body.
+/// and held-out samples are those of one body; `casts` are held-out samples of its casts. A cast that fails has the trivial error.
 ///
 /// # Errors
 /// If training or held-out samples with force are too few, or the linear decoder has no solution.
-pub(crate) fn task_estimates(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<TaskEstimate>, Trouble> {
+pub(crate) fn task_estimates(
+    trial: &Trial,
+    sets: &[Samples; 3],
+    casts: impl Iterator<Item = Result<Samples, Trouble>>,
+) -> Result<Vec<TaskEstimate>, Trouble> {
     let Sizes { instants, channels, .. } = sets[0].sizes;
-    let [train, _, holdout] = trial.problem.parts();
-    let used = [(&sets[0], train), (&sets[2], holdout)].map(|(set, parts)| {
+    let ([train, _, holdout], scales) = (trial.problem.parts(), &trial.scales);
+    let with_force = |set: &Samples, parts: &[usize]| {
         let used = set.with_force();
-        (set.select(&used), pick(&parts, parts.len(), &used))
-    });
-    if used.iter().any(|(set, _)| set.count() < RECORDS_MIN) {
-        return Err(Trouble::FewForces);
-    }
-    let (decoder, scales) = (Decoder::whole(instants, channels), &trial.scales);
+        let found = (set.select(&used), pick(parts, parts.len(), &used));
+        if used.len() < RECORDS_MIN { Err(Trouble::FewForces) } else { Ok(found) }
+    };
+    let (known, known_parts) = with_force(&sets[0], &train)?;
+    let inputs = scales.inputs::<f64>(&known.signals);
+    let decoder = Decoder::whole(instants, channels);
     let fitted = decoder.fit(trial.problem.seed, &sets[0], Some(scales.channels.clone()), trial.pool)?;
-    let signals = used.each_ref().map(|(set, _)| scales.inputs::<f64>(&set.signals));
-    Ok(tasks(&Observations {
-        signals: signals.each_ref().map(|set| &set[..]),
-        forces: used.each_ref().map(|(set, _)| &set.targets[..]),
-        parts: used.each_ref().map(|(_, parts)| &parts[..]),
-        decoded: &fitted.predict(&used[1].0.signals),
-        instants,
-        labeller: &trial.problem.labeller(),
-    }))
+    let labeller = trial.problem.labeller();
+    let estimates = |test: &Samples| {
+        let (test, parts) = with_force(test, &holdout)?;
+        Ok(tasks(&Observations {
+            signals: [&inputs, &scales.inputs::<f64>(&test.signals)],
+            forces: [&known.targets, &test.targets],
+            parts: [&known_parts, &parts],
+            decoded: &fitted.predict(&test.signals),
+            instants,
+            labeller: &labeller,
+        }))
+    };
+    let mut found = estimates(&sets[2])?;
+    let casts: Vec<Result<Vec<TaskEstimate>, Trouble>> = casts.map(|cast| estimates(&cast?)).collect();
+    for (n, nominal) in found.iter_mut().enumerate().filter(|_| !casts.is_empty()) {
+        let error =
+            |cast: &Result<Vec<TaskEstimate>, _>| cast.as_ref().map_or(nominal.trivial, |own| own[n].error);
+        nominal.casts = Some(casts.iter().map(error).sum::<f64>() / casts.len() as f64);
+    }
+    Ok(found)
 }
 
 /// Estimates the forces and all tasks whose labels vary among the training samples.
@@ -91,13 +110,18 @@ fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
         return found;
     }
     let struck = labels(Task::Panel, forces[1], parts[1]);
-    let direct = Readout::new(signals[0], &known).estimates(signals[1]);
-    for ((task, known), direct) in known.into_iter().zip(direct) {
-        let [truth, decoded] = [forces[1], decoded].map(|forces| labels(task, forces, parts[1]));
+    let readout = Readout::new(signals[0], &known);
+    let truths: Vec<Labels> = known.iter().map(|(task, _)| labels(*task, forces[1], parts[1])).collect();
+    let calibrations = readout.calibrations(&known, signals[1], &truths);
+    let direct = readout.estimates(signals[1]).into_iter().zip(calibrations);
+    for (((task, known), truth), (direct, calibration)) in known.into_iter().zip(truths).zip(direct) {
+        let decoded = labels(task, decoded, parts[1]);
         let trivial = error_of(task, &truth, &vec![trivial(task, &known); truth.len()]);
         // forces do not determine the part that generated them
-        let decoded = (task != Task::Kind).then_some(("decoded", decoded));
-        for (readout, estimated) in std::iter::once(("direct", direct)).chain(decoded) {
+        let decoded = (task != Task::Kind).then_some(("decoded", decoded, None));
+        for (readout, estimated, calibration) in
+            std::iter::once(("direct", direct, calibration)).chain(decoded)
+        {
             let Score { error, interval, score } = Score::of(task, &truth, &estimated);
             let least = match task {
                 Task::Panel | Task::Count | Task::Kind => 50.0 / truth.len() as f64,
@@ -116,6 +140,8 @@ fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
                 samples,
                 score,
                 detail,
+                calibration,
+                casts: None,
             });
         }
     }
@@ -167,6 +193,8 @@ impl Observations<'_> {
             samples: errors.len(),
             score,
             detail: Vec::new(),
+            calibration: None,
+            casts: None,
         }
     }
 }

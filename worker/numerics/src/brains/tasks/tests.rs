@@ -83,16 +83,47 @@ fn residuals_are_those_of_records_left_out() {
     }
 }
 
-/// L(x + εδ) = L(x) + ε g·δ + O(ε²), for one task and for several; a common factor on the signals changes nothing.
+/// Records of two classes with known probabilities: the probabilities of a readout are nearly as good, and calibrated. A class that
+/// no training record has, and classes without error, have a finite loss.
+#[test]
+fn probabilities_of_classes_are_calibrated() {
+    let mut stream = Stream::new(Purpose::Stimulus, 4, [0, 0]);
+    let mut records = |n: usize, slope: f64| {
+        let x: Vec<f64> = (0..3 * n).map(|_| stream.normal()).collect();
+        let of = |x: &[f64]| 1.0 / (1.0 + (-slope * x[0]).exp());
+        let truth: Vec<f64> = x.chunks_exact(3).map(of).collect();
+        let labels: Labels = truth.iter().map(|p| vec![f64::from(u8::from(stream.uniform() < *p))]).collect();
+        let log = |(p, label): (&f64, &Vec<f64>)| -if label[0] == 1.0 { *p } else { 1.0 - p }.ln();
+        let best = truth.iter().zip(&labels).map(log).sum::<f64>() / n as f64;
+        (x, labels, best)
+    };
+    let mut read = |slope: f64| {
+        let ((x, known, _), (tests, truth, best)) = (records(400, slope), records(2000, slope));
+        let tasks = [(Task::Panel, known)];
+        let readout = Readout::new(&x, &tasks);
+        let of = |truth: Labels| readout.calibrations(&tasks, &tests, &[truth])[0].clone().unwrap();
+        (of(truth.clone()), of(vec![vec![7.0]; truth.len()]), best)
+    };
+    let (found, unknown, best) = read(2.0);
+    assert!(best > 0.3 && (found.log_loss - best).abs() < 0.05 && found.error < 6.0, "{best} {found:?}");
+    assert_eq!(found.bins.iter().map(|bin| bin[2]).sum::<f64>(), 2000.0);
+    assert!(found.bins.iter().all(|bin| bin[0] >= 0.5), "the greatest of two");
+    assert!((unknown.log_loss - 402f64.ln()).abs() < 1e-9 && unknown.error > 50.0, "{unknown:?}");
+    let (certain, _, _) = read(1e9);
+    assert!(certain.log_loss > 0.0 && certain.log_loss < best, "{certain:?}");
+}
+
+/// L(x + εδ) = L(x) + ε g·δ + O(ε²), for one task, for several and for the worst; a common factor on the signals changes nothing.
 #[test]
 fn the_gradient_of_the_loss_is_exact() {
     let (x, tasks) = records();
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
     let direction: Vec<f64> = x.iter().map(|_| stream.normal()).collect();
-    for tasks in [&tasks[..1], &tasks[1..], &tasks] {
+    let worst = Readout::new(&x, &tasks).fits.iter().map(TaskFit::loss).fold(0.0, f64::max);
+    for (tasks, worst) in [(&tasks[..1], None), (&tasks[1..], None), (&tasks, None), (&tasks, Some(worst))] {
         let at = |step: f64| {
             let x: Vec<f64> = x.iter().zip(&direction).map(|(x, d)| x + step * d).collect();
-            Readout::new(&x, tasks)
+            Readout { worst: worst.is_some(), ..Readout::new(&x, tasks) }
         };
         let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
         let gradient = start.loss_vjp();
@@ -101,6 +132,7 @@ fn the_gradient_of_the_loss_is_exact() {
         let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
         assert!(orders.iter().all(|order| (1.8..2.2).contains(order)), "{slope:e} {orders:?} {remainders:?}");
         assert!(slope.abs() > 1e-3 && start.loss() > 0.01 && start.loss() < 1.0, "{slope} {}", start.loss());
+        assert!(worst.is_none_or(|worst| worst == start.loss()));
         let radial: f64 = gradient.iter().zip(&x).map(|(g, x)| g * x).sum();
         assert!(radial.abs() < 1e-9, "{radial}");
     }

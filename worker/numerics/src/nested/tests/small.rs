@@ -85,6 +85,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             rate: 0.1,
             coarse: Some(Solver::new(Method::Auto, Accuracy(1e-2))),
             casting: None,
+            worst_task: false,
         },
         evaluation: Evaluation {
             seeds: 2,

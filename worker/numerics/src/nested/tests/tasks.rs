@@ -3,7 +3,9 @@
 use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
-use crate::brains::Task;
+use crate::brains::{Task, TaskEstimate};
+use crate::dynamics::Parameters;
+use crate::variation::Variation;
 
 fn trained_for(tasks: &[Task], batch: usize) -> Problem {
     let problem = linear(Protocol::Joint(StepTraining { batch, ..GOING }));
@@ -121,6 +123,25 @@ fn estimates_of_tasks_stand_beside_the_comparison() {
             assert_eq!((resumed.tasks, resumed.counters), (found.tasks.clone(), found.counters));
         }
     }
+}
+
+/// Readouts that are fitted to the body as designed have larger errors on casts of it; without casts there is no such error.
+#[test]
+fn tasks_are_judged_on_casts() {
+    let mut problem = trained_for(&[], 64);
+    let pool = pool(2);
+    let estimates =
+        |problem: &Problem| estimate_tasks(&Trial::new(problem, &pool).unwrap(), &problem.initial).unwrap();
+    let plain = estimates(&problem);
+    assert!(plain.iter().all(|estimate| estimate.casts.is_none()));
+    let material = Parameters { stretch: 0.1, shear: 0.1, bend: 0.1, ..Parameters::default() };
+    problem.variation = Some(Variation { material, nodes: 0.2, ..Variation::default() });
+    problem.evaluation.casts = 3;
+    let found = estimates(&problem);
+    let nominal = |estimate: &TaskEstimate| TaskEstimate { casts: None, ..estimate.clone() };
+    assert_eq!(found.iter().map(nominal).collect::<Vec<_>>(), plain);
+    let worse = found.iter().filter(|estimate| estimate.casts.unwrap() > estimate.error).count();
+    assert!(worse > found.len() / 2, "{found:?}");
 }
 
 /// Labels of the part of a mixture belong to the samples, in steps and in all sets: otherwise pulls would not differ from pushes.
