@@ -4,7 +4,7 @@
 //! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: by cross-validation (`ridge`)
 //! ```
 
-use super::ridge::{self, FoldSplit};
+use super::ridge;
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::Pool;
 use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
@@ -15,11 +15,14 @@ use crate::trial::{
 /// Largest number of unknowns of the longest memory: 0.7 GB and about 5 s per factorisation.
 const UNKNOWNS_MAX: usize = 9600;
 /// Bodies whose batches a learner is fitted to, including the current one.
-const BODIES: usize = 8;
-/// Relative weight of each older body, since the body has changed.
-const FADING: f64 = 0.8;
+const BODIES: usize = 5;
+/// Relative weight of each older body, since the body has changed. A greater one pulls the body back to older ones: their decoder
+/// decodes them best (results/README.md, "An optimiser that converges").
+const FADING: f64 = 0.4;
 /// First step at which λ is chosen again.
-const FIRST_CHOICE: u32 = 10;
+const FIRST_CHOICE: u32 = 5;
+/// Factor from each such step to the next.
+const NEXT_CHOICE: u32 = 4;
 
 impl Decoder {
     /// The longest memory, up to the whole sample in both directions, that can be solved; every body is decoded with it.
@@ -163,9 +166,9 @@ pub(super) struct LinearLearner<'a> {
     moments: Option<Moments>,
 }
 
-/// Whether λ is chosen again at this step: at 10, 20, 40, 80, …, since bodies change most at first.
+/// Whether λ is chosen again at this step: at 5, 20, 80, …, since bodies change most at first.
 fn is_due(step: u32) -> bool {
-    step > 0 && step.is_multiple_of(FIRST_CHOICE) && (step / FIRST_CHOICE).is_power_of_two()
+    std::iter::successors(Some(FIRST_CHOICE), |due| due.checked_mul(NEXT_CHOICE)).any(|due| due == step)
 }
 
 impl<'a> LinearLearner<'a> {
@@ -206,33 +209,29 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
-    /// Fits the samples of the last bodies, with smaller weights for older ones. When due, λ becomes the one with which decoders
-    /// of the other bodies decode the newest best.
+    /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones. When due, λ becomes the one of the
+    /// least error in a cross-validation of this fit, in which errors have these weights, too.
     fn solve_recent(
         &mut self,
-        bodies: &[ScaledSamples],
+        bodies: &[&Samples],
         step: u32,
         learnt: &mut DecoderState,
     ) -> Result<Linear, Trouble> {
-        let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
-        let newest = bodies.len() - 1;
-        let weighted = |body: usize| -> Vec<f64> {
-            let fading = FADING.powi((newest - body) as i32);
-            bodies[body].w.iter().map(|w| w * fading).collect()
-        };
-        let moments = self.moments.get_or_insert_with(|| Moments::new(bodies[newest].sizes, trial.pool));
-        moments.clear();
-        for (body, samples) in bodies.iter().enumerate() {
-            moments.add(&samples.x, &samples.y, &weighted(body));
+        let (trial, seed) = (self.trial, self.trial.problem.seed);
+        let mut all = self.plain(&Samples::joined(bodies));
+        let (mut faded, mut folds) = (Vec::new(), Vec::new());
+        for (body, age) in bodies.iter().zip((0..bodies.len() as i32).rev()) {
+            faded.extend(std::iter::repeat_n(FADING.powi(age), body.count()));
+            folds.extend(ridge::assign_folds(seed, body.count()));
         }
-        let normal = moments.normal(lags);
+        all.w.iter_mut().zip(&faded).for_each(|(w, by)| *w *= by);
+        let moments = self.moments.get_or_insert_with(|| Moments::new(all.sizes, trial.pool));
+        moments.clear();
+        moments.add(&all.x, &all.y, &all.w);
+        let normal = moments.normal(trial.problem.decoder.lags);
         self.first_ridge(learnt)?;
-        if newest > 0 && is_due(step) && trial.problem.decoder.ridge == Ridge::Auto {
-            let judges = bodies[newest].clone();
-            let others = normal.clone().plus(-1.0, &judges.moments().normal(lags));
-            let part = std::iter::once(FoldSplit { judges, others });
-            let judged = ridge::errors_by_value(ridge::ridges(), true, part, FoldSplit::errors_of_others);
-            learnt.ridge = ridge::least(&judged).ok().or(learnt.ridge);
+        if is_due(step) && trial.problem.decoder.ridge == Ridge::Auto {
+            learnt.ridge = ridge::ridge_of_weighted(&all, &normal, &folds, &faded).ok().or(learnt.ridge);
         }
         Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())
     }
@@ -256,10 +255,8 @@ impl Learner for LinearLearner<'_> {
     ) -> Result<FitResult, Trouble> {
         let judged = match on {
             FitOn::Recent(bodies) => {
-                let mut bodies: Vec<ScaledSamples> =
-                    bodies.iter().map(|samples| self.plain(samples)).collect();
-                self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
-                bodies.pop().expect("the newest")
+                self.linear = Some((self.solve_recent(bodies, step, learnt)?, None));
+                self.plain(bodies.last().expect("the newest"))
             }
             FitOn::Optimum(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
                 let train = self.plain(train);

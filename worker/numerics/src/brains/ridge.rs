@@ -63,6 +63,28 @@ pub(super) fn ridge_of(samples: &ScaledSamples, all: &Normal, dealt: &[usize]) -
     ))
 }
 
+/// λ of the least mean error of these samples, whose errors have these weights in the mean.
+///
+/// # Errors
+/// If no λ gives a solution.
+pub(super) fn ridge_of_weighted(
+    samples: &ScaledSamples,
+    all: &Normal,
+    dealt: &[usize],
+    weights: &[f64],
+) -> Result<f64, Trouble> {
+    let parts = split_folds(samples, all, dealt);
+    let judged = errors_by_value(ridges(), true, parts, FoldSplit::errors_of_others);
+    let mut by_fold: Vec<(usize, f64)> = dealt.iter().copied().zip(weights.iter().copied()).collect();
+    by_fold.sort_by_key(|(fold, _)| *fold);
+    let mean = |errors: &[Option<f64>]| {
+        let weighted = by_fold.iter().zip(errors).filter_map(|((_, weight), e)| Some((*weight, (*e)?)));
+        let (sum, total) = weighted.fold((0.0, 0.0), |(sum, total), (w, e)| (sum + w * e, total + w));
+        sum / total
+    };
+    least_by(&judged, mean)
+}
+
 /// Fold of each sample.
 pub(crate) fn assign_folds(seed: u64, samples: usize) -> Vec<usize> {
     folds(seed, samples, FOLDS.min(samples))
@@ -127,7 +149,13 @@ pub(super) fn errors_by_value(
 /// # Errors
 /// If there is no value.
 pub(super) fn least(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> {
-    let mean = |errors: &[Option<f64>]| mean_error(errors).unwrap_or(f64::INFINITY);
+    least_by(judged, |errors| mean_error(errors).unwrap_or(f64::INFINITY))
+}
+
+fn least_by(
+    judged: &[(f64, Vec<Option<f64>>)],
+    mean: impl Fn(&[Option<f64>]) -> f64,
+) -> Result<f64, Trouble> {
     let best = judged.iter().min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)));
     best.map(|best| best.0).ok_or(Trouble::Singular)
 }
