@@ -49,13 +49,8 @@ impl Setting<'_> {
             for (i, task) in self.tasks.iter().enumerate() {
                 let Some(found) = self.ratio(task, name) else { continue };
                 let ends = found.interval.map_or([found.ratio; 2], |i| [i.low, i.high]);
-                marks.push((
-                    n,
-                    i as f64 + aside(n, names.len()),
-                    found.ratio,
-                    ends,
-                    format!("{task}: {}", told(name, &found)),
-                ));
+                let (x, text) = (i as f64 + aside(n, names.len()), format!("{task}: {}", told(name, &found)));
+                marks.push((CLASSES[n + 1], (x, found.ratio), ends, text));
             }
         }
         let count = self.tasks.len() as f64;
@@ -63,13 +58,13 @@ impl Setting<'_> {
         let ends = [-0.5, count - 0.5];
         let x = Axis::new("", Scale::Linear, ends).with_names(ticks);
         let values =
-            marks.iter().flat_map(|(_, _, ratio, [low, high], _)| [*ratio, *low, *high]).chain([1.0]);
+            marks.iter().flat_map(|(_, (_, ratio), [low, high], _)| [*ratio, *low, *high]).chain([1.0]);
         let y = Axis::new("error, initial / trained body", Scale::Log, values);
         let mut plot = Plot::new(&self.label, x, y).sized((45.0 + 85.0 * count).max(320.0), 300.0);
         plot.line("equal", ends.map(|x| (x, 1.0)));
-        for (n, x, ratio, ends, text) in marks {
-            plot.line(CLASSES[n + 1], ends.map(|end| (x, end)));
-            plot.dots(CLASSES[n + 1], [((x, ratio), text)]);
+        for (class, at, ends, text) in marks {
+            plot.line(class, ends.map(|end| (at.0, end)));
+            plot.dots(class, [(at, text)]);
         }
         plot.picture()
     }

@@ -10,7 +10,7 @@ use crate::student::student;
 use crate::trial::{Decoder, Samples, Trial, Trouble, pick};
 
 /// Result of a task.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct TaskEstimate {
     /// Name of the task, and unit of its error.
     pub task: (&'static str, &'static str),
@@ -188,13 +188,10 @@ impl Observations<'_> {
             readout: "decoded",
             error,
             interval,
-            least: 0.0,
             trivial: 100.0,
             samples: errors.len(),
             score,
-            detail: Vec::new(),
-            calibration: None,
-            casts: None,
+            ..TaskEstimate::default()
         }
     }
 }
