@@ -20,9 +20,7 @@ const BODIES: usize = 5;
 /// decodes them best (results/README.md, "An optimiser that converges").
 const FADING: f64 = 0.4;
 /// First step at which λ is chosen again.
-const FIRST_CHOICE: u32 = 5;
-/// Factor from each such step to the next.
-const NEXT_CHOICE: u32 = 4;
+const FIRST_CHOICE: u32 = 10;
 
 impl Decoder {
     /// The longest memory, up to the whole sample in both directions, that can be solved; every body is decoded with it.
@@ -166,9 +164,9 @@ pub(super) struct LinearLearner<'a> {
     moments: Option<Moments>,
 }
 
-/// Whether λ is chosen again at this step: at 5, 20, 80, …, since bodies change most at first.
+/// Whether λ is chosen again at this step: at 10, 20, 40, 80, …, since bodies change most at first.
 fn is_due(step: u32) -> bool {
-    std::iter::successors(Some(FIRST_CHOICE), |due| due.checked_mul(NEXT_CHOICE)).any(|due| due == step)
+    step > 0 && step.is_multiple_of(FIRST_CHOICE) && (step / FIRST_CHOICE).is_power_of_two()
 }
 
 impl<'a> LinearLearner<'a> {
