@@ -29,9 +29,10 @@ const WORSE: f64 = 2.0;
 /// Largest excess over the least mean error, relative to it: with few samples; with more.
 const EXCESS: [f64; 2] = [0.2, 0.05];
 
-/// Test samples of a fold, and the normal equations of the others.
+/// Test samples of a fold, their weights in a mean error, and the normal equations of the others.
 pub(super) struct FoldSplit {
     pub(super) judges: ScaledSamples,
+    pub(super) weights: Vec<f64>,
     pub(super) others: Normal,
 }
 
@@ -54,13 +55,8 @@ impl FoldSplit {
 /// # Errors
 /// If no λ gives a solution.
 pub(super) fn ridge_of(samples: &ScaledSamples, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
-    let prefilter = samples.w.len() >= FEW;
-    one_se_choice(&errors_by_value(
-        ridges(),
-        prefilter,
-        split_folds(samples, all, dealt),
-        FoldSplit::errors_of_others,
-    ))
+    let (count, parts) = (samples.w.len(), split_folds(samples, all, dealt));
+    one_se_choice(&errors_by_value(ridges(), count >= FEW, parts, FoldSplit::errors_of_others))
 }
 
 /// λ of the least mean error of these samples, whose errors have these weights in the mean.
@@ -73,16 +69,21 @@ pub(super) fn ridge_of_weighted(
     dealt: &[usize],
     weights: &[f64],
 ) -> Result<f64, Trouble> {
-    let parts = split_folds(samples, all, dealt);
+    let mut by_fold = Vec::with_capacity(weights.len());
+    let parts = split_folds(samples, all, dealt).enumerate().map(|(part, split)| {
+        let own = weights.iter().zip(dealt).filter(|(_, fold)| **fold == part).map(|(weight, _)| *weight);
+        FoldSplit { weights: own.collect(), ..split }
+    });
+    let parts = parts.inspect(|split| by_fold.extend(&split.weights));
     let judged = errors_by_value(ridges(), true, parts, FoldSplit::errors_of_others);
-    let mut by_fold: Vec<(usize, f64)> = dealt.iter().copied().zip(weights.iter().copied()).collect();
-    by_fold.sort_by_key(|(fold, _)| *fold);
-    let mean = |errors: &[Option<f64>]| {
-        let weighted = by_fold.iter().zip(errors).filter_map(|((_, weight), e)| Some((*weight, (*e)?)));
-        let (sum, total) = weighted.fold((0.0, 0.0), |(sum, total), (w, e)| (sum + w * e, total + w));
-        sum / total
-    };
-    least_by(&judged, mean)
+    least_by(&judged, |errors| weighted_mean(&by_fold, errors))
+}
+
+/// Mean of the errors that exist; 0 without one.
+fn weighted_mean(weights: &[f64], errors: &[Option<f64>]) -> f64 {
+    let own = weights.iter().zip(errors).filter_map(|(weight, error)| Some((*weight, (*error)?)));
+    let (sum, total) = own.fold((0.0, 0.0), |(sum, total), (w, e)| (sum + w * e, total + w));
+    if total > 0.0 { sum / total } else { 0.0 }
 }
 
 /// Fold of each sample.
@@ -103,7 +104,7 @@ pub(super) fn split_folds(
         let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
         let test = samples.select(&own);
         let others = all.clone().plus(-1.0, &test.moments().normal(all.lags()));
-        FoldSplit { judges: test, others }
+        FoldSplit { weights: vec![1.0; own.len()], judges: test, others }
     })
 }
 
@@ -130,14 +131,14 @@ pub(super) fn errors_by_value(
                 return false;
             }
             let Some(errors) = errors(&part, *value) else { return false };
-            let mean = mean_error(&errors).unwrap_or(0.0);
+            let mean = weighted_mean(&part.weights, &errors);
             stale_values = if mean < 0.99 * min_error { 0 } else { stale_values + 1 };
             min_error = min_error.min(mean);
             errors_so_far.extend(errors);
             true
         });
         if prefilter && parts.peek().is_some() {
-            judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * min_error);
+            judged.retain(|(_, errors)| weighted_mean(&part.weights, errors) <= WORSE * min_error);
             judged.truncate(CANDIDATES);
         }
     }
