@@ -897,6 +897,13 @@ def warm_starts():
         yield cells, [*(short(geometric(errors)) + " %" for errors in kinds), *ratios]
 
 
+def memory():
+    for scene, *cells in table("memory"):
+        old, new = ({row["seed"]: float(row["error"]) for row in rows("memory.csv", scene=scene, weight=weight)} for weight in ("0.8", "0.4"))
+        means = [short(geometric(errors.values())) + " %" for errors in (old, new)]
+        yield cells, [str(len(old)), *means, with_interval([new[seed] / old[seed] for seed in old])]
+
+
 LATTICES = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}
 
 
@@ -1004,7 +1011,7 @@ def recordings():
         yield said[line], [" → ".join(short(geometric(errors)) for errors in of) + " %", gain]
 
 
-CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, position, capacity, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing, recordings]
+CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, position, capacity, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, memory, warm_starts, relaxing, recordings]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -78,6 +78,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("external bodies", bodies::external),
     ("designs", bodies::designs),
     ("race", bodies::race),
+    ("memory", bodies::memory),
     ("warm starts", bodies::warm_starts),
     ("brains", brains::brains),
     ("linear bodies", brains::linear_bodies),

@@ -207,6 +207,23 @@ pub fn warm_starts() -> String {
     table(&head, begun.map(line))
 }
 
+/// Errors of bodies trained with two weights of older bodies in the decoder's fit.
+pub fn memory() -> String {
+    let all = rows("memory.csv");
+    let line = |scene: String| {
+        let kinds = ["0.8", "0.4"].map(|weight| -> Vec<f64> {
+            let wanted = [("scene", scene.as_str()), ("weight", weight)];
+            of(&all, &wanted).map(|row| number(row, "error")).collect()
+        });
+        let logs: Vec<f64> = kinds[0].iter().zip(&kinds[1]).map(|(old, new)| (new / old).ln()).collect();
+        let means = kinds.map(|errors| geometric(errors.iter().copied()) + " %");
+        [vec![scene, logs.len().to_string()], means.into(), vec![with_interval(&logs, f64::exp)]].concat()
+    };
+    let mut scenes: Vec<String> = all.iter().map(|row| row["scene"].clone()).collect();
+    scenes.dedup();
+    table(&["scene", "seeds", "weight 0.8", "0.4", "ratio"], scenes.into_iter().map(line))
+}
+
 const LATTICES: [(&str, &str); 4] = [
     ("square", "squares"),
     ("chiral", "squares, chiral"),
