@@ -9,7 +9,6 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 use crate::files::own_mark;
-use crate::link::{STEM, remove_segments};
 
 /// Minimum age before a file of another machine counts as abandoned.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
@@ -73,6 +72,8 @@ pub fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
+/// Prefix of the names of runs in shared memory.
+pub(crate) const STEM: &str = "metasense-";
 /// A run's directory in shared memory without a lock file may belong to a run that is starting, up to this age.
 const BIRTH: Duration = Duration::from_secs(60);
 
@@ -98,6 +99,13 @@ pub(crate) fn remove_dead_runs(shared: &Path) -> usize {
         }
     }
     removed
+}
+
+/// Removes the segments whose names have this prefix, and returns their number.
+pub(crate) fn remove_segments(shared: &Path, prefix: &str) -> usize {
+    let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
+    let ours = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with(prefix);
+    entries.flatten().filter(ours).filter(|entry| std::fs::remove_file(entry.path()).is_ok()).count()
 }
 
 /// Opens the lock, or without one the directory, of a dead run; `None` if the run may be alive.

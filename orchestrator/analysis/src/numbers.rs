@@ -87,7 +87,7 @@ pub fn network_mean(
     error: impl Fn(&NetworkEvaluation) -> Option<f64>,
 ) -> Option<f64> {
     let errors: Vec<f64> = networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
-    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+    mean(&errors)
 }
 
 /// Returns the largest number of samples above 100 % of any network; `None` if unknown.

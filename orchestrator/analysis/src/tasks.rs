@@ -121,7 +121,8 @@ fn by_placement(own: &[&TaskResult]) -> Option<String> {
 }
 
 /// Returns one row per setting, M, training, task and readout: means over trials, the ratio initial/trained with its 95 % interval
-/// over placements and seeds, the ratio of each placement if there are several, and the elbow of the trained body's error against M, over all M.
+/// over placements and seeds, the ratio of each placement if there are several, and the elbow of the trained body's error against
+/// M, over all M.
 pub fn table(all: &[TaskResult]) -> Table {
     let columns = "setting M trained_for task readout unit trials trivial initial optimised ratio ratio_low ratio_high ratio_by_placement elbow";
     let kinds = distinct(all.iter().map(|read| (&read.trained_for, read.kind())));

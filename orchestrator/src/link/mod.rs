@@ -17,7 +17,6 @@ use metasense_worker::process::check_shared_memory;
 use tokio::sync::mpsc::Sender;
 
 pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY};
-pub(crate) use runtime::{STEM, remove_segments};
 
 use crate::scheduler::WorkerId;
 

@@ -11,16 +11,13 @@
 use std::fs::{DirBuilder, File};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub use metasense_schemas::wire::SHARED_MEMORY;
 
 use crate::files::fresh_mark;
-use crate::leftovers::remove_dead_runs;
+use crate::leftovers::{STEM, remove_dead_runs, remove_segments};
 use crate::scheduler::WorkerId;
-
-/// Prefix of all our names.
-pub(crate) const STEM: &str = "metasense-";
 
 /// A run's directory in shared memory cannot be created.
 #[derive(Debug, thiserror::Error)]
@@ -95,13 +92,6 @@ impl Domain {
         remove_segments(&self.shared, &self.prefix);
         let _ = std::fs::remove_dir_all(&self.root);
     }
-}
-
-/// Removes the segments whose names have this prefix, and returns their number.
-pub(crate) fn remove_segments(shared: &Path, prefix: &str) -> usize {
-    let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
-    let ours = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with(prefix);
-    entries.flatten().filter(ours).filter(|entry| std::fs::remove_file(entry.path()).is_ok()).count()
 }
 
 #[cfg(test)]

@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use super::*;
 
 /// Dropping a run's place removes its directory and segments, but not those of another run.

@@ -71,10 +71,11 @@ pub(super) fn ridge_of_weighted(
 ) -> Result<f64, Trouble> {
     let mut by_fold = Vec::with_capacity(weights.len());
     let parts = split_folds(samples, all, dealt).enumerate().map(|(part, split)| {
-        let own = weights.iter().zip(dealt).filter(|(_, fold)| **fold == part).map(|(weight, _)| *weight);
-        FoldSplit { weights: own.collect(), ..split }
+        let own = weights.iter().zip(dealt).filter(|(_, fold)| **fold == part);
+        let weights: Vec<f64> = own.map(|(weight, _)| *weight).collect();
+        by_fold.extend(&weights);
+        FoldSplit { weights, ..split }
     });
-    let parts = parts.inspect(|split| by_fold.extend(&split.weights));
     let judged = errors_by_value(ridges(), true, parts, FoldSplit::errors_of_others);
     least_by(&judged, |errors| weighted_mean(&by_fold, errors))
 }
