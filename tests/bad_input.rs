@@ -642,6 +642,18 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:16: brain.memory = [0.1, 0.0]: has no effect: no trial has brain.kind = \"linear\" and brain.task = \"forces\"",
     ),
     (
+        "[brain]\nkind = \"linear\"\ntask = \"onset\"\nwindow = 0.02",
+        "s.toml:15: brain.task = \"onset\": the contact gives the onset: remove brain.window, or choose another task",
+    ),
+    (
+        "[brain]\nkind = \"linear\"\nwindow = 0.02",
+        "s.toml:15: brain.window = 0.02: has no effect: no trial has evaluation.tasks = true or a brain.task",
+    ),
+    (
+        "[brain]\nkind = \"linear\"\ntask = \"peak\"\nwindow = -0.5",
+        "s.toml:16: brain.window = -0.5: must be at least one sampling interval (time.duration / time.samples)",
+    ),
+    (
         "[brain]\nkind = \"linear\"\ntask = \"peak\"\n[optimise]\nprotocol = \"paper\"",
         "s.toml:15: brain.task = \"peak\": set optimise.protocol = \"joint\" or \"random\"",
     ),

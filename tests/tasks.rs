@@ -300,6 +300,48 @@ fn readouts_are_exported_as_c() {
     assert!(holds("cc", &source, &bench.path("")).0 && !bench.path("d/brain.onnx").exists());
 }
 
+/// In a window from the contact on, readouts tell blows at random times better than in the whole record. Their C files start with the
+/// contact, too. Training for forces uses no window.
+#[test]
+fn readouts_see_a_window_from_the_contact_on() {
+    let bench = Bench::new();
+    let spec = with_samples()
+        .replace("kind = \"bell\"", "kind = \"irregular\"\nanywhere = true")
+        .replace("width = [0.05, 0.1]\nonset = [0.0, 0.1]\n", "onset = [0.0, 0.1]\n")
+        .replace("silent = 0.3\n", "")
+        .replace("iterations = 4\nbatch = 4", "iterations = 3\nbatch = 24")
+        .replace(
+            "sensors = [1, 2]",
+            "sensors = [1]\n\"brain.task\" = [\"all\", \"forces\"]\npoints = [{}, { \"brain.window\" = 0.05 }]",
+        );
+    bench.file("s.toml", &format!("{spec}[evaluation]\ntasks = true\n"));
+    bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
+    let error = |window: &str, task: &str, body: &str| -> f64 {
+        let sql = format!(
+            "SELECT avg(v.error) AS error FROM v_task v JOIN trial t USING (hash) WHERE v.task = '{task}' AND v.body = '{body}'
+             AND v.readout = 'direct' AND t.spec->>'$.brain.window' {window}"
+        );
+        bench.output(&["query", "s.sqlite", &sql, "--format", "csv"]).lines().nth(1).unwrap().parse().unwrap()
+    };
+    for body in ["initial", "optimised"] {
+        let better = |task: &str| error("= 0.05", task, body) < 0.9 * error("IS NULL", task, body);
+        assert!(better("onset") && better("position"), "{body}");
+    }
+    let trained = "SELECT count(DISTINCT v.holdout_error_optimised) FROM v_trial v JOIN trial t USING (hash)
+                   WHERE t.spec->>'$.brain.task' IS NULL";
+    assert_eq!(bench.number("s.sqlite", trained), 1);
+    let of = "SELECT hash FROM trial WHERE spec->>'$.brain.task' = 'all' AND spec->>'$.brain.window' = 0.05";
+    let hash = bench.output(&["query", "s.sqlite", of, "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    for numbers in ["f32", "i8"] {
+        let call = ["export", "s.sqlite", hash, "--format", "c", "--numbers", numbers, "--out", "b.c"];
+        bench.output(&call);
+        let source = std::fs::read_to_string(bench.path("b.c")).unwrap();
+        let (good, said) = holds("cc", &source, &bench.path(""));
+        assert!(good && !said.contains(" 0 samples") && source.contains("TRIGGER"), "{numbers}: {said}");
+    }
+}
+
 /// A sample's part of a mixture is a class, estimated from signals alone; `all` does not include it.
 #[test]
 fn the_kind_of_force_is_a_task_of_mixtures() {

@@ -6,7 +6,7 @@
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
-use metasense_numerics::brains::{RECORDS_MIN, Task, fits};
+use metasense_numerics::brains::{RECORDS_MIN, Task, Tasks, fits};
 use metasense_numerics::dynamics::{
     Accuracy, Contact, Forces, Frame, Method, PartFactors, Scene, Solver, Stiffness,
 };
@@ -85,7 +85,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         relative_to,
         variation: variation(trial, scene.layout.units())?,
         decoder_kind: kind(trial.brain.kind),
-        tasks: Vec::new(),
+        tasks: Tasks::default(),
         decoder: decoder(trial)?,
         brain: Training {
             iterations: trial.brain.iterations,
@@ -101,7 +101,6 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
             coarse: coarse.as_ref().filter(|_| coarsens).map(solver),
             casting: casting(trial)?,
-            worst_task: worst_task(trial),
         },
         evaluation: Evaluation {
             seeds: trial.evaluation.networks(),
@@ -162,10 +161,11 @@ fn with_force(forces: &Forces) -> usize {
     (0..forces.samples).filter(|&i| forces.sample(i).iter().any(|f| *f != 0.0)).count()
 }
 
-/// The quantities that readouts estimate; empty: the decoder estimates forces.
-fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
+/// What readouts estimate.
+fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
+    let window = window(trial)?;
     if trial.brain.task.is_forces() {
-        return Ok(Vec::new());
+        return Ok(Tasks { window, ..Tasks::default() });
     }
     // none: all of them
     let task = Task::ALL.into_iter().find(|task| task.name().0 == trial.brain.task.name());
@@ -185,13 +185,27 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Vec<Task>, Invalid> {
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
     }
+    let contact = window.is_some() && task == Some(Task::Onset);
+    check(!contact, "the contact gives the onset: remove brain.window, or choose another task")?;
     let mut varied = varied(problem);
+    varied.retain(|task| window.is_none() || *task != Task::Onset);
     varied.retain(|varied| task.map_or(*varied != Task::Kind, |task| *varied == task));
     let remedy = "the label is the same in all training samples: vary [stimuli] (stimuli.silent varies the number of struck \
                   panels, stimuli.kind = \"mix\" the kind), or choose another task";
     check(!varied.is_empty(), remedy)?;
     at_least("stimuli.test", trial.stimuli.test, RECORDS_MIN)?;
-    Ok(varied)
+    Ok(Tasks { trained: varied, worst: worst_task(trial), window })
+}
+
+/// Number of instants of `brain.window`.
+fn window(trial: &TrialSpec) -> Result<Option<usize>, Invalid> {
+    let Some(window) = trial.brain.window else { return Ok(None) };
+    let instants = (window * trial.time.samples as f64 / trial.time.duration).round();
+    let holds = instants >= 1.0 && instants <= trial.time.samples as f64;
+    let remedy =
+        "must be at least one sampling interval (time.duration / time.samples) and at most time.duration";
+    require(holds, "brain.window", window, remedy)?;
+    Ok(Some(instants as usize))
 }
 
 /// Whether the body is trained for the worst of several tasks.

@@ -29,6 +29,11 @@ fn estimates_forces_linearly(spec: &SweepSpec) -> bool {
     spec.brain.task.is_forces() && kinds(spec).into_iter().any(has_linear)
 }
 
+/// Whether readouts of sensing tasks are fitted in the trial or its training.
+fn has_readouts(spec: &SweepSpec) -> bool {
+    !spec.brain.task.is_forces() || spec.evaluation.tasks == Some(true)
+}
+
 /// Whether a causal network uses a linear decoder's estimates, which then must not look ahead either.
 fn looks_back_alone(spec: &SweepSpec) -> bool {
     spec.brain.kind == BrainKind::Stacked && spec.brain.network().causal
@@ -45,8 +50,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     // without training there is only one body
     evaluation.initial = evaluation.initial.filter(|compared| !compared && spec.optimise.steps() > 0);
     if !has_network(reader) && !has_network(trainer) {
-        let Brain { kind, task, memory, ridge, .. } = brain;
-        brain = Brain { kind, task, memory, ridge, ..none };
+        let Brain { kind, task, window, memory, ridge, .. } = brain;
+        brain = Brain { kind, task, window, memory, ridge, ..none };
     }
     if !has_network(reader) {
         evaluation = evaluation.of_linear();
@@ -61,6 +66,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     if !estimates_forces_linearly(spec) {
         (brain.memory, brain.ridge) = (None, None);
     }
+    brain.window = brain.window.filter(|_| has_readouts(spec));
     if looks_back_alone(spec) {
         brain.memory.get_or_insert([spec.time.duration, 0.0]);
     }
@@ -102,6 +108,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
 const NO_CNN: &str = "has no effect: no trial has brain.kind = \"cnn\"";
 const NO_TRAINER: &str = "has no effect: no trial has optimise.brain = \"cnn\"";
 const NO_LINEAR: &str = "has no effect: no trial has brain.kind = \"linear\" and brain.task = \"forces\"";
+const NO_READOUTS: &str =
+    "has no effect: no trial has evaluation.tasks = true or a brain.task other than \"forces\"";
 const NO_OBJECTIVE: &str = "has no effect: no trial has an optimise.objective over casts";
 const NO_VARIATION: &str = "has no effect: no trial has a [variation]";
 const NO_CALIBRATION: &str = "has no effect: no trial has a [variation] and a decoder other than inverse";
@@ -134,7 +142,7 @@ pub(super) fn refuse_unread<'a>(
     let trained_by_network = any_spec(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
     let without_deviation = |spec: &SweepSpec| spec.variation.is_some_and(|v| v.resolved().is_none());
-    let keys: [(&str, bool, KeyPredicate, &str); 21] = [
+    let keys: [(&str, bool, KeyPredicate, &str); 22] = [
         ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), NO_OBJECTIVE),
         ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), NO_OBJECTIVE),
         ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), NO_VARIATION),
@@ -145,6 +153,7 @@ pub(super) fn refuse_unread<'a>(
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), NO_CNN),
         ("brain.dilations", network, &|s| s.brain.dilations.is_some(), NO_CNN),
         ("brain.causal", network, &|s| s.brain.causal.is_some(), NO_CNN),
+        ("brain.window", any_spec(&has_readouts), &|s| s.brain.window.is_some(), NO_READOUTS),
         ("brain.memory", linear, &|s| s.brain.memory.is_some(), NO_LINEAR),
         ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), NO_LINEAR),
         ("brain.scaling", network, &|s| s.brain.scaling != default_brain.scaling, NO_CNN),

@@ -106,8 +106,9 @@ impl Training {
         if spec.optimise.linear() {
             // a body for an inverse decoder is simulated in double precision from the first step
             let kind = Some(spec.brain.kind).filter(|kind| *kind == BrainKind::Inverse).unwrap_or_default();
-            let Brain { task, memory, ridge, .. } = spec.brain;
-            spec.brain = Brain { kind, task, memory, ridge, ..Brain::default() };
+            let Brain { task, memory, ridge, window, .. } = spec.brain;
+            let window = window.filter(|_| !task.is_forces());
+            spec.brain = Brain { kind, task, window, memory, ridge, ..Brain::default() };
         }
         if spec.optimise.objective.is_none() {
             spec.variation = None;

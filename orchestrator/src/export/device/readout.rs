@@ -61,10 +61,9 @@ impl<'a> Rounded<'a> {
 pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) -> Result<String, StoreError> {
     let spec = &stored.specs[body];
     let found = readouts(spec, &stored.designs[body], threads).map_err(unreadable(stored))?;
-    let TaskReadouts { readouts, block, scales, signals, sums, labels } = &found;
-    let (channels, instants) = (scales.len(), spec.time.samples);
-    let blocks = instants.div_ceil(*block);
-    let samples = || signals.chunks_exact(instants * channels);
+    let TaskReadouts { readouts, window, thresholds, block, scales, signals, starts, sums, labels } = &found;
+    let (channels, instants, triggered) = (scales.len(), spec.time.samples, thresholds[0] >= 0.0);
+    let blocks = window.div_ceil(*block);
     let rounded: Vec<Rounded> = readouts.iter().map(|of| Rounded::new(of, numbers)).collect();
     let of_all =
         |of: &Rounded| sums.chunks_exact(blocks * channels).map(|own| of.estimate(own, scales)).collect();
@@ -82,22 +81,23 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
     let outputs = all().count();
     let classes: Vec<f64> = readouts.iter().flat_map(|of| of.classes.iter().copied()).collect();
     let bytes = numbers.bytes(false)[0] * outputs * blocks * channels;
-    let tables = 4 * (2 * outputs + channels + classes.len() + 2 * readouts.len());
+    let tables = 4 * (2 * outputs + 2 * channels + classes.len() + 2 * readouts.len());
     let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
     let mut text = format!(
         "/* Readouts of sensing tasks on the {name} body of trial {hash}, by metasense {version}: C99, no heap, no library.
 
    Every {interval} s one reading: {units} of each sensor, one sensor after the other, in mm/s^2 and rad/s.
-   Output: the estimates after the {instants} readings of a sample, in this order (panels are numbered from 0):
+   Output: the estimates after {window} readings{from}, in this order (panels are numbered from 0):
 
 {described}
-     void brain_reset(void);                               before the first reading, if a sample was not completed
-     int brain_read(const float *reading, float *estimates);  1: that was the last reading of a sample; 0: not yet
+     void brain_reset(void);                               before the first reading, if a window was not completed
+     int brain_read(const float *reading, float *estimates);  1: that was the last reading of a window; 0: not yet
 
    On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds per reading.
    To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 
-#define BRAIN_INSTANTS {instants}
+#define BRAIN_INSTANTS {window}
+#define REST {rest} /* quiet readings between windows */
 #define BRAIN_CHANNELS {channels}
 #define BRAIN_ESTIMATES {estimates}
 #define BLOCK {block}
@@ -111,10 +111,15 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
         version = env!("CARGO_PKG_VERSION"),
         interval = spec.time.duration / spec.time.samples as f64,
         constants = bytes.next_multiple_of(4) + tables,
-        memory = 4 * (outputs + 1),
+        memory = 4 * (outputs + 2),
         operations = outputs * channels,
         estimates = estimated.iter().filter_map(|of| of.first()).map(Vec::len).sum::<usize>(),
         tasks = readouts.len(),
+        rest = if triggered { *window } else { 0 },
+        from = match triggered {
+            true => " from the first one above TRIGGER on",
+            false => "",
+        },
     );
     text.push_str(match numbers {
         Numbers::F32 => "typedef float weight;\n",
@@ -132,21 +137,31 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
     single(&mut text, "B", &mut all().map(|output| output.constant));
     single(&mut text, "STEP", &mut all().map(|output| output.step));
     single(&mut text, "SCALE", &mut scales.iter().copied());
+    single(&mut text, "TRIGGER", &mut thresholds.iter().copied());
     // C has no empty arrays
     single(&mut text, "CLASS", &mut classes.into_iter().chain([0.0]));
     text.push_str("/* outputs and classes (0: values) of each task */\n");
     whole(&mut text, "int COUNT", &rounded.iter().map(|of| of.outputs.len()).collect::<Vec<_>>());
     whole(&mut text, "int KIND", &readouts.iter().map(|of| of.classes.len()).collect::<Vec<_>>());
-    test(&mut text, &samples().take(TESTED).collect::<Vec<_>>(), readouts, &estimated);
+    // samples with contact and a whole window
+    let has_window = |(s, record): &(usize, &[f64])| {
+        let reading = &record[starts[*s] * channels..][..channels];
+        let contact = reading.iter().zip(thresholds).any(|(x, least)| x.abs() > *least);
+        contact && starts[*s] + window <= instants
+    };
+    let records = signals.chunks_exact(instants * channels).enumerate();
+    test(&mut text, &records.filter(has_window).take(TESTED).collect::<Vec<_>>(), readouts, &estimated);
     text.push_str(include_str!("readout.c"));
     Ok(text)
 }
 
 /// Signals and estimates of some samples.
-fn test(text: &mut String, samples: &[&[f64]], readouts: &[Readout], estimated: &[Vec<Vec<f64>>]) {
-    writeln!(text, "\n#ifdef BRAIN_TEST\n#define SAMPLES {}", samples.len()).expect("text");
-    floats(text, "float SIGNALS", samples.iter().flat_map(|own| own.iter()).map(|x| *x as f32));
-    let labels = (0..samples.len()).flat_map(|s| estimated.iter().flat_map(move |of| &of[s]));
+fn test(text: &mut String, samples: &[(usize, &[f64])], readouts: &[Readout], estimated: &[Vec<Vec<f64>>]) {
+    let values = samples.iter().map(|(_, record)| record.len()).sum::<usize>();
+    writeln!(text, "\n#ifdef BRAIN_TEST\n#define SAMPLES {}\n#define VALUES {values}", samples.len())
+        .expect("text");
+    floats(text, "float SIGNALS", samples.iter().flat_map(|(_, record)| record.iter()).map(|x| *x as f32));
+    let labels = samples.iter().flat_map(|(s, _)| estimated.iter().flat_map(move |of| &of[*s]));
     floats(text, "float ESTIMATES", labels.map(|label| *label as f32));
     let bounds = readouts.iter().zip(estimated).flat_map(|(of, estimated)| {
         let most = estimated.iter().flatten().fold(0.0_f64, |most, label| most.max(label.abs()));

@@ -33,6 +33,7 @@ pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
 pub use tasks::{
     Calibration, Labeller, Labels, RECORDS_MIN, Readout, ReadoutWeights, Task, TaskEstimate, TaskReadouts,
+    Tasks,
 };
 pub(crate) use tasks::{task_errors, task_estimates, task_readouts};
 
@@ -261,7 +262,7 @@ pub(crate) trait Learner {
 /// The decoder that trains the trial's bodies.
 pub(crate) fn learner<'a>(trial: &'a Trial<'a>) -> Box<dyn Learner + 'a> {
     match trial.problem.optimise.brain {
-        _ if !trial.problem.tasks.is_empty() => Box::new(tasks::TaskLearner::new(trial)),
+        _ if !trial.problem.tasks.trained.is_empty() => Box::new(tasks::TaskLearner::new(trial)),
         BrainKind::Linear => Box::new(linear::LinearLearner::new(trial)),
         BrainKind::Network => Box::new(network::NetworkLearner::new(trial)),
         BrainKind::Stacked | BrainKind::Inverse => unreachable!("it only reads"),

@@ -1,12 +1,14 @@
 //! Sensing tasks besides force histories: which panel, where, how many, how hard, when; all from the same signals.
 //!
-//! A readout is a ridge regression from the signals of the whole record to the labels (`readout`). Classes are ±1; the greatest
+//! A readout is a ridge regression from the signals of a record, or of a window from its first contact on (`window`), to the labels
+//! (`readout`). Classes are ±1; the greatest
 //! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean, or the
 //! largest. Samples without force and failed samples are not used.
 
 mod calibration;
 mod estimates;
 mod weights;
+mod window;
 
 pub use calibration::Calibration;
 pub use estimates::TaskEstimate;
@@ -18,6 +20,7 @@ use super::readout::{Basis, Output};
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::random::Purpose;
 use crate::trial::{Counters, FAILED, Problem, Samples, Trial, Trouble, pick};
+use window::Window;
 
 /// Share of a sample's greatest force above which a panel counts as struck, and a force as started.
 const BEGUN: f64 = 0.1;
@@ -65,6 +68,17 @@ impl Task {
     pub fn is_class(self) -> bool {
         matches!(self, Self::Panel | Self::Count | Self::Kind)
     }
+}
+
+/// What readouts estimate in the training and the final comparison, and from which signals.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Tasks {
+    /// The quantities, without onsets if readouts have a window; empty: the decoder estimates the forces.
+    pub trained: Vec<Task>,
+    /// Whether their loss is that of the worst, not the geometric mean.
+    pub worst: bool,
+    /// Number of instants that a readout sees from the first contact on; `None`: the whole record.
+    pub window: Option<usize>,
 }
 
 /// Label of each record for a task: a class, or values.
@@ -264,7 +278,10 @@ impl Readout {
 struct Labelled {
     /// Their indices.
     used: Vec<usize>,
-    /// Signals (n, T·3M), divided by the trial's scales.
+    window: Window,
+    /// First instant of each one's window.
+    starts: Vec<usize>,
+    /// Signals in the window (n, len·3M), divided by the trial's scales.
     signals: Vec<f64>,
     tasks: Vec<(Task, Labels)>,
     /// Whether a readout's loss is that of the worst task.
@@ -277,12 +294,15 @@ impl Labelled {
         let used = samples.with_force();
         let len = samples.sizes.instants * samples.sizes.outputs;
         let forces = |i: usize| &samples.targets[i * len..][..len];
-        let signals = trial.scales.inputs(&pick(&samples.signals, samples.count(), &used));
+        let (whole, window) =
+            (trial.scales.inputs(&pick(&samples.signals, samples.count(), &used)), Window::of(trial));
+        let starts = window.starts(&whole);
         let labeller = trial.problem.labeller();
         let label = |task: Task, i: usize| labeller.label(task, forces(i), parts[i]);
         let labels = |task: &Task| (*task, used.iter().map(|&i| label(*task, i)).collect::<Labels>());
-        let tasks = trial.problem.tasks.iter().map(labels).collect();
-        Self { used, signals, tasks, worst: trial.problem.optimise.worst_task }
+        let tasks = trial.problem.tasks.trained.iter().map(labels).collect();
+        let signals = window.signals(&whole, &starts);
+        Self { used, window, starts, signals, tasks, worst: trial.problem.tasks.worst }
     }
 
     /// # Errors
@@ -376,10 +396,11 @@ impl Learner for TaskLearner<'_> {
     fn loss_vjp(&mut self, samples: &Samples, _: Loss) -> (Option<f64>, Vec<f64>) {
         let (labelled, readout) = self.fitted();
         let mut cotangent = vec![0.0; samples.signals.len()];
-        let len = cotangent.len() / samples.count();
+        let (len, count) = (cotangent.len() / samples.count(), labelled.used.len());
         let found = self.trial.scales.inputs_vjp(&readout.loss_vjp());
-        for (&i, own) in labelled.used.iter().zip(found.chunks_exact(len)) {
-            cotangent[i * len..][..len].copy_from_slice(own);
+        let records = labelled.used.iter().zip(&labelled.starts);
+        for ((&i, &start), own) in records.zip(found.chunks_exact(found.len() / count)) {
+            labelled.window.add_vjp(own, start, &mut cotangent[i * len..][..len]);
         }
         (None, cotangent)
     }

@@ -53,7 +53,7 @@ pub(super) fn evaluate(
     let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, &mut report.counters));
     let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
     let inverts = problem.decoder_kind == BrainKind::Inverse;
-    let has_bands = !inverts && problem.tasks.is_empty();
+    let has_bands = !inverts && problem.tasks.trained.is_empty();
     let calibration = sets.as_ref().ok().filter(|_| first && has_bands).and_then(|sets| {
         let of = |report: &mut Report| band_calibration_samples(mould, &sets[2], &mut report.counters);
         log.timed(|s| &mut s.simulate, of).ok()
@@ -89,7 +89,7 @@ pub(super) fn evaluate(
     if inverts {
         return evaluate_inverse(mould, &sets, state, log);
     }
-    if !problem.tasks.is_empty() {
+    if !problem.tasks.trained.is_empty() {
         let found = log.timed(|s| &mut s.train, |_| task_errors(trial, as_ref_result(&sets)?));
         let evaluation = found.map_or_else(NetworkEvaluation::failed, |errors| {
             let [error_train, error_test, error_holdout] = errors.each_ref().map(|set| mean_error(set));

@@ -9,7 +9,7 @@ use super::samples::{Samples, pick};
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
 use crate::brain::Shape;
 use crate::brain::linear::Sizes;
-use crate::brains::Task;
+use crate::brains::Tasks;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
@@ -53,8 +53,8 @@ pub struct Problem {
     pub variation: Option<Variation>,
     /// Decoder in the final comparison.
     pub decoder_kind: BrainKind,
-    /// Quantities that a readout estimates in the training and the final comparison; empty: the decoder estimates the forces.
-    pub tasks: Vec<Task>,
+    /// Sensing tasks of readouts.
+    pub tasks: Tasks,
     /// The network, and the training of fresh networks.
     pub brain: Training,
     /// The linear decoder.

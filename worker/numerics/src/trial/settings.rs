@@ -79,8 +79,6 @@ pub struct Optimise {
     pub coarse: Option<Solver>,
     /// Objective over casts or parts of a mixture (`joint`); `None`: over the body as designed.
     pub casting: Option<CastObjective>,
-    /// Whether the loss of several tasks is that of the worst, not their geometric mean.
-    pub worst_task: bool,
 }
 
 /// An objective over casts or over kinds of forces, drawn anew in each outer step.

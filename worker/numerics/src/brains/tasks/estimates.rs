@@ -1,8 +1,9 @@
 //! Errors of readouts of every task, fitted to one body's signals, and of the decoder of the forces.
 //!
-//! `direct` is ridge regression from the signals of the whole record to the labels ([`Readout`]). `decoded` is the label of
+//! `direct` is ridge regression from the signals of the record, or of its window, to the labels ([`Readout`]). `decoded` is the label of
 //! forces that a linear decoder estimates. Samples without force and failed samples are not used.
 
+use super::window::{Window, shifted};
 use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
 use crate::brain::linear::Sizes;
 use crate::brain::prediction_error;
@@ -39,8 +40,10 @@ pub struct TaskEstimate {
 
 /// Training and test samples of a body.
 struct Observations<'a> {
-    /// Signals of both sets (N, T × channels), of comparable size.
+    /// Signals of both sets in their windows (N, len × channels), of comparable size.
     signals: [&'a [f64]; 2],
+    /// First instants of the windows of both sets (N).
+    starts: [&'a [usize]; 2],
     /// Forces of both sets (N, T, K) (N).
     forces: [&'a [f64]; 2],
     /// Parts of the mixture of both sets (N).
@@ -71,14 +74,22 @@ pub(crate) fn task_estimates(
         if used.len() < RECORDS_MIN { Err(Trouble::FewForces) } else { Ok(found) }
     };
     let (known, known_parts) = with_force(&sets[0], &train)?;
-    let inputs = scales.inputs::<f64>(&known.signals);
+    let window = Window::of(trial);
+    let seen = |signals: &[f64]| {
+        let whole = scales.inputs::<f64>(signals);
+        let starts = window.starts(&whole);
+        (window.signals(&whole, &starts), starts)
+    };
+    let (inputs, starts) = seen(&known.signals);
     let decoder = Decoder::whole(instants, channels);
     let fitted = decoder.fit(trial.problem.seed, &sets[0], Some(scales.channels.clone()), trial.pool)?;
     let labeller = trial.problem.labeller();
     let estimates = |test: &Samples| {
         let (test, parts) = with_force(test, &holdout)?;
+        let (test_inputs, test_starts) = seen(&test.signals);
         Ok(tasks(&Observations {
-            signals: [&inputs, &scales.inputs::<f64>(&test.signals)],
+            signals: [&inputs, &test_inputs],
+            starts: [&starts, &test_starts],
             forces: [&known.targets, &test.targets],
             parts: [&known_parts, &parts],
             decoded: &fitted.predict(&test.signals),
@@ -98,7 +109,7 @@ pub(crate) fn task_estimates(
 
 /// Estimates the forces and all tasks whose labels vary among the training samples.
 fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
-    let &Observations { signals, forces, parts, decoded, instants, labeller } = observations;
+    let &Observations { signals, starts, forces, parts, decoded, instants, labeller } = observations;
     let labels = |task: Task, forces: &[f64], parts: &[usize]| -> Labels {
         let samples = forces.chunks_exact(instants * labeller.points.len()).zip(parts);
         samples.map(|(own, part)| labeller.label(task, own, *part)).collect()
@@ -110,11 +121,15 @@ fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
         return found;
     }
     let struck = labels(Task::Panel, forces[1], parts[1]);
-    let readout = Readout::new(signals[0], &known);
+    let moved = |task, labels, starts, sign| shifted(task, labels, starts, labeller.interval, sign);
+    let in_window: Vec<(Task, Labels)> =
+        known.iter().map(|(task, labels)| (*task, moved(*task, labels.clone(), starts[0], -1.0))).collect();
+    let readout = Readout::new(signals[0], &in_window);
     let truths: Vec<Labels> = known.iter().map(|(task, _)| labels(*task, forces[1], parts[1])).collect();
     let calibrations = readout.calibrations(&known, signals[1], &truths);
     let direct = readout.estimates(signals[1]).into_iter().zip(calibrations);
     for (((task, known), truth), (direct, calibration)) in known.into_iter().zip(truths).zip(direct) {
+        let direct = moved(task, direct, starts[1], 1.0);
         let decoded = labels(task, decoded, parts[1]);
         let trivial = error_of(task, &truth, &vec![trivial(task, &known); truth.len()]);
         // forces do not determine the part that generated them

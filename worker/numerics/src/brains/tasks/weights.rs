@@ -1,6 +1,7 @@
 //! Readouts of the trial's tasks as weights of the signals, for a device.
 
 use super::estimates::error_of;
+use super::window::Window;
 use super::{Labelled, Labels, Readout, Task, greatest};
 use crate::brain::linear::Sizes;
 use crate::trial::{Samples, Trial, Trouble, pick};
@@ -54,13 +55,19 @@ impl Readout {
 pub struct TaskReadouts {
     /// One per task.
     pub readouts: Vec<ReadoutWeights>,
-    /// Instants per block; the last block may have fewer.
+    /// Instants of the window, from the first reading above a threshold on.
+    pub window: usize,
+    /// Threshold per signal channel (mm/s², rad/s); negative: the window starts with the record.
+    pub thresholds: Vec<f64>,
+    /// Instants per block of the window; the last block may have fewer.
     pub block: usize,
     /// Divisor per signal channel.
     pub scales: Vec<f64>,
     /// Signals (n, T, channels) of the held-out samples with force (mm/s², rad/s).
     pub signals: Vec<f64>,
-    /// Their sums (n, blocks, channels).
+    /// First instants of their windows.
+    pub starts: Vec<usize>,
+    /// Their sums in the windows (n, blocks, channels).
     pub sums: Vec<f64>,
     /// Their labels per task.
     pub labels: Vec<Labels>,
@@ -72,22 +79,27 @@ pub struct TaskReadouts {
 /// If the training samples are too few or too similar.
 pub(crate) fn task_readouts(trial: &Trial, sets: &[Samples; 3]) -> Result<TaskReadouts, Trouble> {
     let [train, _, holdout] = trial.problem.parts();
-    let Sizes { instants, channels, .. } = sets[0].sizes;
-    let block = instants.div_ceil(BLOCKS);
+    let Sizes { channels, .. } = sets[0].sizes;
+    let Window { len, thresholds, .. } = Window::of(trial);
+    let block = len.div_ceil(BLOCKS);
     let sums = |signals: &[f64]| -> Vec<f64> {
         let sum = |own: &[f64], c: usize| own.iter().skip(c).step_by(channels).sum::<f64>();
-        let blocks = signals.chunks_exact(instants * channels).flat_map(|own| own.chunks(block * channels));
+        let blocks = signals.chunks_exact(len * channels).flat_map(|own| own.chunks(block * channels));
         blocks.flat_map(|own| (0..channels).map(move |c| sum(own, c))).collect()
     };
     let known = Labelled::of(trial, &sets[0], &train);
     let readouts = Labelled { signals: sums(&known.signals), ..known }.fit()?.weights();
-    let Labelled { used, tasks, .. } = Labelled::of(trial, &sets[2], &holdout);
+    let Labelled { used, window, starts, tasks, .. } = Labelled::of(trial, &sets[2], &holdout);
     let signals = pick(&sets[2].signals, sets[2].count(), &used);
+    let scales = trial.scales.channels.clone();
     Ok(TaskReadouts {
         readouts,
+        window: len,
+        thresholds: thresholds.iter().zip(&scales).map(|(threshold, scale)| threshold * scale).collect(),
         block,
-        scales: trial.scales.channels.clone(),
-        sums: sums(&signals),
+        scales,
+        sums: sums(&window.signals(&signals, &starts)),
+        starts,
         signals,
         labels: tasks.into_iter().map(|(_, labels)| labels).collect(),
     })

@@ -3,6 +3,7 @@
 use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::brain::Architecture;
 use metasense_numerics::brain::linear::Lags;
+use metasense_numerics::brains::Tasks;
 use metasense_numerics::dynamics::{
     Accuracy, Forces, Frame, Method, Panel, PartFactors, Scene, Solver, Stiffness,
 };
@@ -70,7 +71,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         relative_to: None,
         variation: None,
         decoder_kind: BrainKind::Network,
-        tasks: Vec::new(),
+        tasks: Tasks::default(),
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
         brain: Training {
             iterations: 30,
@@ -85,7 +86,6 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             rate: 0.1,
             coarse: Some(Solver::new(Method::Auto, Accuracy(1e-2))),
             casting: None,
-            worst_task: false,
         },
         evaluation: Evaluation {
             seeds: 2,

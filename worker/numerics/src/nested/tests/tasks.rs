@@ -3,7 +3,7 @@
 use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
-use crate::brains::{Task, TaskEstimate};
+use crate::brains::{Task, TaskEstimate, Tasks};
 use crate::dynamics::Parameters;
 use crate::variation::Variation;
 
@@ -18,14 +18,20 @@ fn trained_for(tasks: &[Task], batch: usize) -> Problem {
         power: [2.0, 2.5],
     });
     let stimuli = Stimuli { source, samples: 120, test: 40, holdout: 60, ..problem.stimuli.clone() };
-    Problem { tasks: tasks.to_vec(), stimuli, ..problem }
+    Problem { tasks: Tasks { trained: tasks.to_vec(), ..Tasks::default() }, stimuli, ..problem }
 }
 
 /// L(α + εδ) = L(α) + ε g·δ + O(ε²) through simulator and readout, at the samples of a step.
 #[test]
 fn the_gradient_of_a_task_holds_through_simulator_and_readout() {
-    for tasks in [&[Task::Peak][..], &[Task::Panel, Task::Onset]] {
+    let cases = [
+        (&[Task::Peak][..], None),
+        (&[Task::Panel, Task::Onset], None),
+        (&[Task::Peak, Task::Position], Some(20)),
+    ];
+    for (tasks, window) in cases {
         let mut problem = trained_for(tasks, 16);
+        problem.tasks.window = window;
         problem.scene.density *= 4.0; // fewer steps
         problem.solver.accuracy = Accuracy(1e-11);
         (problem.optimise.coarse, problem.stimuli.samples, problem.stimuli.test) = (None, 20, 4);

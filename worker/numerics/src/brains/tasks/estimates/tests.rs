@@ -49,6 +49,7 @@ fn read_from(signals: &[f64], forces: &[f64], decoded: impl Fn(&[f64]) -> Vec<f6
     let [_, judge] = forces;
     tasks(&Observations {
         signals,
+        starts: [&[0; 50], &[0; 30]],
         forces,
         parts: [&[0; 50], &[0; 30]],
         decoded: &decoded(judge),
