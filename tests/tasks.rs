@@ -318,8 +318,8 @@ fn readouts_see_a_window_from_the_contact_on() {
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     let error = |window: &str, task: &str, body: &str| -> f64 {
         let sql = format!(
-            "SELECT avg(v.error) AS error FROM v_task v JOIN trial t USING (hash) WHERE v.task = '{task}' AND v.body = '{body}'
-             AND v.readout = 'direct' AND t.spec->>'$.brain.window' {window}"
+            "SELECT avg(error) AS error FROM v_task WHERE task = '{task}' AND body = '{body}' AND readout = 'direct'
+             AND window {window}"
         );
         bench.output(&["query", "s.sqlite", &sql, "--format", "csv"]).lines().nth(1).unwrap().parse().unwrap()
     };
@@ -330,7 +330,7 @@ fn readouts_see_a_window_from_the_contact_on() {
     let trained = "SELECT count(DISTINCT v.holdout_error_optimised) FROM v_trial v JOIN trial t USING (hash)
                    WHERE t.spec->>'$.brain.task' IS NULL";
     assert_eq!(bench.number("s.sqlite", trained), 1);
-    let of = "SELECT hash FROM trial WHERE spec->>'$.brain.task' = 'all' AND spec->>'$.brain.window' = 0.05";
+    let of = "SELECT hash FROM v_task WHERE trained_for = 'all' AND window = 0.05";
     let hash = bench.output(&["query", "s.sqlite", of, "--format", "csv"]);
     let hash = hash.lines().nth(1).unwrap();
     for numbers in ["f32", "i8"] {

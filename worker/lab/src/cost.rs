@@ -31,7 +31,7 @@ const PRODUCTS: f64 = 21.0;
 
 /// Matrix factorisations per body in the final evaluation, and per step, including the choice of the ridge.
 const FACTORS: f64 = 8.0;
-const STEP_FACTORS: f64 = 1.5;
+const STEP_FACTORS: f64 = 2.0;
 /// Matrix factorisations per cast.
 const CAST_FACTORS: f64 = 70.0;
 /// Time of inverting the model per sample and panel, and of calibrating the twins of a cast, in simulations.
