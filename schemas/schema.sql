@@ -371,11 +371,12 @@ LEFT JOIN band s ON s.trial_id = c.trial_id AND s.body = c.body AND s.casting = 
   AND s.records = c.records AND s.kind = 'sample';
 
 -- error of a readout of a sensing task on the initial or the trained body (`evaluation.tasks`), in `unit`, with its 95 %
--- interval over held-out samples: `direct`: fitted to the signals, or to those of `window` (s) from the contact on; `decoded`: from the forces that a linear decoder estimates;
+-- interval over held-out samples: `direct`: fitted to the signals, or to those of `window` (s) from the contact on; `kernel`: the
+-- same by kernel ridge regression, in a window; `decoded`: from the forces that a linear decoder estimates;
 -- `trivial`: error of the best estimate without signals; `least`: resolution of the error; `score`: balanced accuracy (%) of
 -- classes, R² of values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm),
--- samples]; `casts`: mean error over casts (`evaluation.casts`) of the readout fitted to the body as designed; of direct
--- readouts of classes, `log_loss`: mean of −ln p of the true class (probabilities by temperature scaling); `calibration_error`:
+-- samples]; `casts`: mean error over casts (`evaluation.casts`) of the readout fitted to the body as designed; of
+-- classes, except decoded ones, `log_loss`: mean of −ln p of the true class (probabilities by temperature scaling); `calibration_error`:
 -- expected difference between probability and frequency (%); `reliability` (JSON), per tenth of the probability: [mean probability
 -- of the estimated class, its frequency, samples]
 CREATE VIEW v_task AS

@@ -326,6 +326,11 @@ fn readouts_see_a_window_from_the_contact_on() {
     for body in ["initial", "optimised"] {
         let better = |task: &str| error("= 0.05", task, body) < 0.9 * error("IS NULL", task, body);
         assert!(better("onset") && better("position"), "{body}");
+        let count = |readout: &str| {
+            let rows = "SELECT count(*) FROM v_task WHERE window = 0.05 AND log_loss > 0";
+            bench.number("s.sqlite", &format!("{rows} AND readout = '{readout}' AND body = '{body}'"))
+        };
+        assert!(count("kernel") > 0 && count("kernel") == count("direct"), "classes have probabilities");
     }
     let trained = "SELECT count(DISTINCT v.holdout_error_optimised) FROM v_trial v JOIN trial t USING (hash)
                    WHERE t.spec->>'$.brain.task' IS NULL";

@@ -15,8 +15,8 @@ use crate::reader::StoredTrial;
 
 /// Estimates quantities other than forces from finished bodies: where, how many, when
 ///
-/// Each quantity (task) is estimated in two ways on the held-out set. `direct`: ridge regression on the signals of the whole
-/// record, or of `brain.window` from the contact on. `decoded`: from the forces that a linear decoder estimates. The table has means over the trials of a setting, the error
+/// Each quantity (task) is estimated in several ways on the held-out set. `direct`: ridge regression on the signals of the whole
+/// record, or of `brain.window` from the contact on; `kernel`: in a window, also kernel ridge regression. `decoded`: from the forces that a linear decoder estimates. The table has means over the trials of a setting, the error
 /// of a predictor without signals (trivial), and the ratio initial / trained with its 95 % interval over seeds and placements; in
 /// it an error counts at least as half of one sample's. If bodies were trained for several tasks (brain.task), a transfer matrix
 /// follows: this ratio per task and training. Other formats have one row per trial, body, task and readout, with a 95 % interval

@@ -24,7 +24,8 @@ struct Setting<'a> {
 }
 
 fn settings(all: &[TaskResult]) -> Vec<Setting<'_>> {
-    let shown = |read: &&TaskResult| (read.task.0 == "forces") == (read.readout == "decoded");
+    let shown =
+        |read: &&TaskResult| read.readout == if read.task.0 == "forces" { "decoded" } else { "direct" };
     let setting = |(setting, sensors): (&String, u64)| {
         let own = |read: &&TaskResult| (&read.setting, read.sensors) == (setting, sensors);
         let results: Vec<&TaskResult> = all.iter().filter(shown).filter(own).collect();

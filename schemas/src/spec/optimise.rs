@@ -126,7 +126,7 @@ pub struct Brain {
     pub task: Task,
     /// Time from the first contact on that the readout of a task sees: its answer is known so long after contact. A contact is
     /// the first reading above a tenth of its channel's RMS, and above five standard deviations of its error. For
-    /// `evaluation.tasks` and for tasks other than `"forces"` and `"onset"`. Unit: s. Default: the whole sample.
+    /// `evaluation.tasks`, which then also fits a kernel ridge regression, and for tasks other than `"forces"` and `"onset"`. Unit: s. Default: the whole sample.
     pub window: Option<f64>,
     /// Memory of a linear decoder, `[before, after]` an instant; `after = 0` suits a device that estimates without delay. An
     /// inverse decoder uses all earlier readings and this look-ahead; a `causal` stacked decoder uses all earlier readings and no

@@ -1,7 +1,7 @@
 //! Errors of readouts of every task, fitted to one body's signals, and of the decoder of the forces.
 //!
 //! `direct` is ridge regression from the signals of the record, or of its window, to the labels ([`Readout`]). `decoded` is the label of
-//! forces that a linear decoder estimates. Samples without force and failed samples are not used.
+//! forces that a linear decoder estimates. In a window, `kernel` is kernel ridge regression. Samples without force and failed samples are not used.
 
 use super::window::{Window, shifted};
 use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
@@ -15,7 +15,7 @@ use crate::trial::{Decoder, Samples, Trial, Trouble, pick};
 pub struct TaskEstimate {
     /// Name of the task, and unit of its error.
     pub task: (&'static str, &'static str),
-    /// `"direct"` or `"decoded"`.
+    /// `"direct"`, `"kernel"` or `"decoded"`.
     pub readout: &'static str,
     /// Error in the task's unit.
     pub error: f64,
@@ -32,7 +32,7 @@ pub struct TaskEstimate {
     /// Of a class, true class, estimated class, number of samples; of a position, panel with the greatest force, mean error (mm),
     /// number of samples; else empty.
     pub detail: Vec<[f64; 3]>,
-    /// Calibration of the probabilities of a direct readout of classes.
+    /// Calibration of the probabilities of classes, except of decoded ones.
     pub calibration: Option<Calibration>,
     /// Mean error over casts of the body, with the readout fitted to the body as designed.
     pub casts: Option<f64>,
@@ -50,6 +50,8 @@ struct Observations<'a> {
     parts: [&'a [usize]; 2],
     /// Forces of the test set (N, T, K) (N) that a linear decoder estimates.
     decoded: &'a [f64],
+    /// Whether windows start with the contact.
+    windowed: bool,
     /// Number of instants T.
     instants: usize,
     /// Computes labels.
@@ -93,6 +95,7 @@ pub(crate) fn task_estimates(
             forces: [&known.targets, &test.targets],
             parts: [&known_parts, &parts],
             decoded: &fitted.predict(&test.signals),
+            windowed: trial.problem.tasks.window.is_some(),
             instants,
             labeller: &labeller,
         }))
@@ -109,7 +112,8 @@ pub(crate) fn task_estimates(
 
 /// Estimates the forces and all tasks whose labels vary among the training samples.
 fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
-    let &Observations { signals, starts, forces, parts, decoded, instants, labeller } = observations;
+    let &Observations { signals, starts, forces, parts, decoded, windowed, instants, labeller } =
+        observations;
     let labels = |task: Task, forces: &[f64], parts: &[usize]| -> Labels {
         let samples = forces.chunks_exact(instants * labeller.points.len()).zip(parts);
         samples.map(|(own, part)| labeller.label(task, own, *part)).collect()
@@ -124,19 +128,28 @@ fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
     let moved = |task, labels, starts, sign| shifted(task, labels, starts, labeller.interval, sign);
     let in_window: Vec<(Task, Labels)> =
         known.iter().map(|(task, labels)| (*task, moved(*task, labels.clone(), starts[0], -1.0))).collect();
-    let readout = Readout::new(signals[0], &in_window);
+    let mut readouts = vec![("direct", Readout::new(signals[0], &in_window))];
+    if windowed {
+        readouts.push(("kernel", Readout::with_kernel(signals[0], &in_window)));
+    }
     let truths: Vec<Labels> = known.iter().map(|(task, _)| labels(*task, forces[1], parts[1])).collect();
-    let calibrations = readout.calibrations(&known, signals[1], &truths);
-    let direct = readout.estimates(signals[1]).into_iter().zip(calibrations);
-    for (((task, known), truth), (direct, calibration)) in known.into_iter().zip(truths).zip(direct) {
-        let direct = moved(task, direct, starts[1], 1.0);
+    let mut read: Vec<_> = readouts
+        .iter()
+        .map(|(name, readout)| {
+            let calibrations = readout.calibrations(&known, signals[1], &truths);
+            (*name, readout.estimates(signals[1]).into_iter().zip(calibrations))
+        })
+        .collect();
+    for ((task, known), truth) in known.into_iter().zip(truths) {
+        let from_signals = read.iter_mut().map(|(name, estimates)| {
+            let (estimated, calibration) = estimates.next().expect("one per task");
+            (*name, moved(task, estimated, starts[1], 1.0), calibration)
+        });
         let decoded = labels(task, decoded, parts[1]);
         let trivial = error_of(task, &truth, &vec![trivial(task, &known); truth.len()]);
         // forces do not determine the part that generated them
         let decoded = (task != Task::Kind).then_some(("decoded", decoded, None));
-        for (readout, estimated, calibration) in
-            std::iter::once(("direct", direct, calibration)).chain(decoded)
-        {
+        for (readout, estimated, calibration) in from_signals.chain(decoded) {
             let Score { error, interval, score } = Score::of(task, &truth, &estimated);
             let least = match task {
                 Task::Panel | Task::Count | Task::Kind => 50.0 / truth.len() as f64,

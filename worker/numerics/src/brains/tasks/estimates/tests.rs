@@ -53,6 +53,7 @@ fn read_from(signals: &[f64], forces: &[f64], decoded: impl Fn(&[f64]) -> Vec<f6
         forces,
         parts: [&[0; 50], &[0; 30]],
         decoded: &decoded(judge),
+        windowed: false,
         instants: INSTANTS,
         labeller: &labeller(),
     })
