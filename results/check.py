@@ -824,13 +824,17 @@ def tasks_decoded():
 
 
 def position():
-    for training, task, readout, unit, *cells in table("position"):
+    for training, task, window, readout, unit, *cells in table("position"):
         def column(body, name):
-            return numbers(rows("position/rows.csv", trained_for=training, task=task, readout=readout, body=body), name)
+            window_ms = window.removesuffix(" ms").removeprefix("record")
+            own = rows("position/rows.csv", trained_for=training, task=task, window=window_ms, readout=readout, body=body)
+            return numbers(own, name)
         initial, trained = column("initial", "error"), column("optimised", "error")
         trivial = short(statistics.fmean(column("initial", "trivial")))
         spreads = [interval(values, lambda x: x) for values in (initial, trained)]
-        yield cells, [trivial, *spreads, with_interval([a / b for a, b in zip(initial, trained, strict=True)])]
+        least = column("initial", "least")
+        gains = [max(a, half) / max(b, half) for a, b, half in zip(initial, trained, least, strict=True)]
+        yield cells, [trivial, *spreads, with_interval(gains)]
 
 
 def ranks(values):

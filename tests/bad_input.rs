@@ -666,14 +666,6 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:15: brain.task = \"all\": remove [variation] and optimise.objective",
     ),
     (
-        "[brain]\nkind = \"linear\"\ntask = \"all\"\n[optimise]\nobjective = \"mean\"",
-        "s.toml:15: brain.task = \"all\": remove [variation] and optimise.objective",
-    ),
-    (
-        "[brain]\nkind = \"linear\"\ntask = \"peak\"\n[optimise]\nobjective = \"worst\"",
-        "s.toml:15: brain.task = \"peak\": remove [variation] and optimise.objective",
-    ),
-    (
         "[evaluation]\ntasks = true",
         "s.toml:11: stimuli.samples = 12: sensing tasks need ten samples with force for training",
     ),

@@ -95,18 +95,6 @@ fn a_sweep_trains_a_body_per_task() {
     let with_memory = spec.replace("kind = \"linear\"\n", "kind = \"linear\"\nmemory = [0.1, 0.0]\n");
     let (own, short) = (hashes("s.toml", &spec), hashes("t.toml", &with_memory));
     assert_eq!([0, 1, 2].map(|i| own[i] == short[i]), [false, true, true], "only forces use the memory");
-
-    // the worst of the tasks trains another body, without casts
-    let worst = spec.replace("[\"forces\", \"impulse\", \"all\"]", "[\"all\"]");
-    bench.file("w.toml", &worst.replace("batch = 24", "batch = 24\nobjective = \"worst\""));
-    bench.output(&["run", "w.toml", "--db", "w.sqlite"]);
-    let trained = |db: &str| {
-        let sql = "SELECT v.error_optimised FROM v_trial v JOIN trial t USING (hash) WHERE t.spec->>'$.brain.task' = 'all'";
-        bench.output(&["query", db, sql, "--format", "csv"])
-    };
-    assert_ne!(trained("w.sqlite"), trained("s.sqlite"));
-    let casts = "SELECT count(spec->>'$.optimise.casts') FROM trial";
-    assert_eq!(bench.number("w.sqlite", casts), 0);
 }
 
 /// With `evaluation.tasks`, a trial stores the rows that `body tasks` otherwise computes, and nothing else changes: hashes without

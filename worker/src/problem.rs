@@ -178,9 +178,9 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
         differentiable,
         "set optimise.protocol = \"joint\" or \"random\": \"paper\" trains for forces only",
     )?;
-    let designed = trial.variation.is_none() && (worst_task(trial) || trial.optimise.objective.is_none());
-    let remedy = "remove [variation] and optimise.objective: bodies are trained for this task as designed only \
-                  (\"all\" can have the objective \"worst\")";
+    let designed = trial.variation.is_none() && trial.optimise.objective.is_none();
+    let remedy =
+        "remove [variation] and optimise.objective: bodies are trained for this task as designed only";
     check(designed, remedy)?;
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
@@ -194,7 +194,7 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
                   panels, stimuli.kind = \"mix\" the kind), or choose another task";
     check(!varied.is_empty(), remedy)?;
     at_least("stimuli.test", trial.stimuli.test, RECORDS_MIN)?;
-    Ok(Tasks { trained: varied, worst: worst_task(trial), window })
+    Ok(Tasks { trained: varied, window })
 }
 
 /// Number of instants of `brain.window`.
@@ -206,12 +206,6 @@ fn window(trial: &TrialSpec) -> Result<Option<usize>, Invalid> {
         "must be at least one sampling interval (time.duration / time.samples) and at most time.duration";
     require(holds, "brain.window", window, remedy)?;
     Ok(Some(instants as usize))
-}
-
-/// Whether the body is trained for the worst of several tasks.
-fn worst_task(trial: &TrialSpec) -> bool {
-    let worst = spec::Objective::Named(spec::ObjectiveName::Worst);
-    trial.brain.task == spec::Task::All && trial.optimise.objective == Some(worst)
 }
 
 /// The part of a problem that its body gives.

@@ -86,8 +86,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         units
     });
     // without deviations, an objective runs over the parts of a mixture; by default, the parts share the batch of a single body
-    let of_forces = optimise.objective.filter(|_| brain.task.is_forces());
-    if let (Some(_), None, Some(parts)) = (of_forces, spec.variation, &spec.stimuli.mix) {
+    if let (Some(_), None, Some(parts)) = (optimise.objective, spec.variation, &spec.stimuli.mix) {
         optimise.casts.get_or_insert(parts.len());
         optimise.batch.get_or_insert(Optimise::BATCH.div_ceil(parts.len().max(1)));
     }
@@ -96,8 +95,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     }
     let optimise = optimise.resolved();
     let (optimise, robust) = match optimise.objective {
-        Some(_) if brain.task.is_forces() => (optimise, true),
-        _ => (Optimise { casts: None, reader: None, ..optimise }, false),
+        Some(_) => (optimise, true),
+        None => (Optimise { casts: None, reader: None, ..optimise }, false),
     };
     // deviations matter only if an objective or the evaluation uses casts
     let variation = spec.variation.filter(|_| robust || evaluation.casts.is_some());

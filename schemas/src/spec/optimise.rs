@@ -337,8 +337,7 @@ pub struct Optimise {
     pub frozen: Option<Vec<usize>>,
     /// Objective of the design: `"nominal"`, the error of the design itself; or, over casts of `[variation]` drawn per step,
     /// `"mean"`, `"worst"` or `{ cvar = 0.9 }` (mean over the worst tenth). Without `[variation]`, the same over the logarithms
-    /// of the errors under each part of `stimuli.mix`. Only for `"joint"`. With `brain.task = "all"`, `"worst"` means the largest
-    /// of the tasks' errors instead of their geometric mean. Default: `"nominal"`.
+    /// of the errors under each part of `stimuli.mix`. Only for `"joint"`. Default: `"nominal"`.
     pub objective: Option<Objective>,
     /// Casts per step, with `batch` samples each. Default: 4, with `reader = "each"` 3; over a mixture its parts.
     pub casts: Option<usize>,

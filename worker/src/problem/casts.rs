@@ -118,10 +118,9 @@ fn deviations<Parts: Copy + Into<[f64; 2]>>(
     }
 }
 
-/// The objective over casts, or over parts of a mixture; that over tasks is not one.
+/// The objective over casts, or over parts of a mixture.
 pub(super) fn casting(trial: &TrialSpec) -> Result<Option<CastObjective>, Invalid> {
     let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
-    let objective = objective.filter(|_| trial.brain.task.is_forces());
     let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
     let shown = as_written(&objective);
     let parts = trial.stimuli.mix.as_ref().filter(|_| trial.variation.is_none()).map(Vec::len);

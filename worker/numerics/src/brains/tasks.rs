@@ -2,8 +2,7 @@
 //!
 //! A readout is a ridge regression from the signals of a record, or of a window from its first contact on (`window`), to the labels
 //! (`readout`). Classes are ±1; the greatest
-//! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean, or the
-//! largest. Samples without force and failed samples are not used.
+//! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean. Samples without force and failed samples are not used.
 
 mod calibration;
 mod estimates;
@@ -75,8 +74,6 @@ impl Task {
 pub struct Tasks {
     /// The quantities, without onsets if readouts have a window; empty: the decoder estimates the forces.
     pub trained: Vec<Task>,
-    /// Whether their loss is that of the worst, not the geometric mean.
-    pub worst: bool,
     /// Number of instants that a readout sees from the first contact on; `None`: the whole record.
     pub window: Option<usize>,
 }
@@ -171,8 +168,6 @@ impl Problem {
 pub struct Readout {
     basis: Basis,
     fits: Vec<TaskFit>,
-    /// Whether the loss is that of the worst task.
-    worst: bool,
 }
 
 /// The readout of a task.
@@ -228,7 +223,7 @@ impl Readout {
 
     fn on(basis: Basis, tasks: &[(Task, Labels)]) -> Self {
         let fits = tasks.iter().map(|(task, labels)| TaskFit::new(*task, &basis, labels)).collect();
-        Self { basis, fits, worst: false }
+        Self { basis, fits }
     }
 
     /// Estimated labels per task, from the signals (n, p) of any records.
@@ -260,21 +255,15 @@ impl Readout {
         errors
     }
 
-    /// Geometric mean, or the largest, of the tasks' leave-one-out errors 1 − R².
+    /// Geometric mean of the tasks' leave-one-out errors 1 − R².
     pub(crate) fn loss(&self) -> f64 {
-        let losses = self.fits.iter().map(TaskFit::loss);
-        if self.worst {
-            return losses.fold(0.0, f64::max);
-        }
-        (losses.map(f64::ln).sum::<f64>() / self.fits.len() as f64).exp()
+        (self.fits.iter().map(|fit| fit.loss().ln()).sum::<f64>() / self.fits.len() as f64).exp()
     }
 
     /// Cotangent of the loss on the signals (N, p).
     pub(crate) fn loss_vjp(&self) -> Vec<f64> {
-        let loss = self.loss();
-        let counts = |fit: &&TaskFit| !self.worst || fit.loss() == loss;
-        let part = loss / self.fits.iter().filter(counts).count() as f64;
-        let outputs = self.fits.iter().filter(counts).flat_map(|fit| {
+        let part = self.loss() / self.fits.len() as f64;
+        let outputs = self.fits.iter().flat_map(|fit| {
             let factor = part / (fit.loss() * fit.variation);
             fit.outputs.iter().map(move |output| (factor, output))
         });
@@ -292,8 +281,6 @@ struct Labelled {
     /// Signals in the window (n, len·3M), divided by the trial's scales.
     signals: Vec<f64>,
     tasks: Vec<(Task, Labels)>,
-    /// Whether a readout's loss is that of the worst task.
-    worst: bool,
 }
 
 impl Labelled {
@@ -310,7 +297,7 @@ impl Labelled {
         let labels = |task: &Task| (*task, used.iter().map(|&i| label(*task, i)).collect::<Labels>());
         let tasks = trial.problem.tasks.trained.iter().map(labels).collect();
         let signals = window.signals(&whole, &starts);
-        Self { used, window, starts, signals, tasks, worst: trial.problem.tasks.worst }
+        Self { used, window, starts, signals, tasks }
     }
 
     /// # Errors
@@ -319,7 +306,7 @@ impl Labelled {
         if self.used.len() < RECORDS_MIN {
             return Err(Trouble::FewForces);
         }
-        let readout = Readout { worst: self.worst, ..Readout::new(&self.signals, &self.tasks) };
+        let readout = Readout::new(&self.signals, &self.tasks);
         let varied = readout.fits.iter().all(|fit| fit.variation > 0.0);
         if varied { Ok(readout) } else { Err(Trouble::FewForces) }
     }
