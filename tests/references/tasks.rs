@@ -109,32 +109,43 @@ pub fn decoded() -> String {
     table(&columns, TRAININGS[..7].iter().map(line))
 }
 
-/// One line per training and readout of `position-two-core`: means over seeds, and the ratio of the errors of the initial and the
-/// trained body.
+/// One line per training, window and readout of `position-two-core`: means over seeds, and the ratio of the errors of the initial and
+/// the trained body. In the ratio, an error counts at least as half of one sample's.
 pub fn position() -> String {
     let all = rows("position/rows.csv");
-    let line = |(training, task, readout): &(&str, &str, &str)| {
+    let line = |(training, task, window, readout): (&str, &str, &str, &str)| {
+        let wanted = [("trained_for", training), ("task", task), ("window", window), ("readout", readout)];
         let column = |body: &str, name: &str| -> Vec<f64> {
-            let wanted = [("trained_for", *training), ("task", *task), ("readout", *readout), ("body", body)];
-            of(&all, &wanted).map(|row| number(row, name)).collect()
+            of(&all, &[&wanted[..], &[("body", body)]].concat()).map(|row| number(row, name)).collect()
         };
         let [initial, trained] = ["initial", "optimised"].map(|body| column(body, "error"));
-        let logs: Vec<f64> = initial.iter().zip(&trained).map(|(a, b)| (a / b).ln()).collect();
-        let first = of(&all, &[("task", task)]).next().expect("rows of the task").clone();
-        let head = [training, task, readout, first["unit"].as_str()].map(str::to_owned);
+        let compared = initial.iter().zip(&trained).zip(column("initial", "least"));
+        let logs: Vec<f64> = compared.map(|((a, b), least)| (a.max(least) / b.max(least)).ln()).collect();
+        let first = of(&all, &wanted).next().expect("rows of the task").clone();
+        let signals = if window.is_empty() { "record".to_owned() } else { format!("{window} ms") };
+        let head = [training, task, &signals, readout, first["unit"].as_str()].map(str::to_owned);
         let trivial = rounded_mean(&column("initial", "trivial"));
         let shown = [&initial, &trained].map(|errors| with_interval(errors, |error| error));
         [&head[..], &[trivial], &shown, &[with_interval(&logs, f64::exp)]].concat()
     };
-    let kinds = [
-        ("position", "position", "direct"),
-        ("forces", "position", "direct"),
-        ("forces", "position", "decoded"),
-        ("panel", "panel", "direct"),
-        ("panel", "panel", "decoded"),
+    let mut kinds = vec![("forces", "position", "", "decoded")];
+    for (training, task) in [("forces", "position"), ("position", "position"), ("panel", "panel")] {
+        kinds.push((training, task, "", "direct"));
+        let windows = ["20", "50"].into_iter().flat_map(|window| [(window, "direct"), (window, "kernel")]);
+        kinds.extend(windows.map(|(window, readout)| (training, task, window, readout)));
+    }
+    let columns = [
+        "trained for",
+        "task",
+        "signals",
+        "readout",
+        "unit",
+        "without signals",
+        "initial",
+        "trained",
+        "gain",
     ];
-    let columns = ["trained for", "task", "readout", "unit", "without signals", "initial", "trained", "gain"];
-    table(&columns, kinds.iter().map(line))
+    table(&columns, kinds.into_iter().map(line))
 }
 
 /// One line per measure of memory and nonlinearity: means over seeds per training, and the rank correlation, over trainings, of the
