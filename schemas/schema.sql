@@ -371,8 +371,8 @@ LEFT JOIN band s ON s.trial_id = c.trial_id AND s.body = c.body AND s.casting = 
   AND s.records = c.records AND s.kind = 'sample';
 
 -- error of a readout of a sensing task on the initial or the trained body (`evaluation.tasks`), in `unit`, with its 95 %
--- interval over held-out samples: `direct`: fitted to the signals, or to those of `window` (s) from the contact on; `kernel`: the
--- same by kernel ridge regression, in a window; `decoded`: from the forces that a linear decoder estimates;
+-- interval over held-out samples: `direct`: fitted to the signals, or to those of `window` (s) from the contact on; `network`: in a
+-- window, a small network; `decoded`: from the forces that a linear decoder estimates;
 -- `trivial`: error of the best estimate without signals; `least`: resolution of the error; `score`: balanced accuracy (%) of
 -- classes, R² of values; `detail` (JSON): of a class [true, estimated, samples], of a position [struck panel, mean error (mm),
 -- samples]; `casts`: mean error over casts (`evaluation.casts`) of the readout fitted to the body as designed; of
@@ -384,7 +384,8 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
   CAST(coalesce(t.spec->>'$.optimise.brain', 'cnn') AS TEXT) AS trained_with,
   CAST(coalesce(t.spec->>'$.brain.task', 'forces') AS TEXT) AS trained_for,
-  CAST(t.spec->>'$.brain.window' AS REAL) AS window, CAST(r.value->>'$.body' AS TEXT) AS body,
+  CASE WHEN r.value->>'$.readout' <> 'decoded' THEN CAST(t.spec->>'$.brain.window' AS REAL) END AS window,
+  CAST(r.value->>'$.body' AS TEXT) AS body,
   CAST(r.value->>'$.task' AS TEXT) AS task, CAST(r.value->>'$.readout' AS TEXT) AS readout,
   CAST(r.value->>'$.unit' AS TEXT) AS unit, CAST(r.value->>'$.error' AS REAL) AS error,
   CAST(r.value->>'$.interval[0]' AS REAL) AS low, CAST(r.value->>'$.interval[1]' AS REAL) AS high,

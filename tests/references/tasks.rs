@@ -143,7 +143,7 @@ pub fn position() -> String {
     let mut kinds = vec![("forces", "position", "", "decoded")];
     for (training, task) in [("forces", "position"), ("position", "position"), ("panel", "panel")] {
         kinds.push((training, task, "", "direct"));
-        let windows = ["20", "50"].into_iter().flat_map(|window| [(window, "direct"), (window, "kernel")]);
+        let windows = ["20", "50"].into_iter().flat_map(|window| [(window, "direct"), (window, "network")]);
         kinds.extend(windows.map(|(window, readout)| (training, task, window, readout)));
     }
     let columns = [

@@ -61,6 +61,10 @@ const WEIGHTS_MAX: usize = 10_000_000;
 /// # Errors
 /// Names the first key with an invalid value, and the requirement.
 pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
+    let designed = trial.variation.is_none() && trial.optimise.objective.is_none();
+    let remedy =
+        "remove [variation] and optimise.objective: bodies are trained for this task as designed only";
+    require(trial.brain.task.is_forces() || designed, "brain.task", as_written(&trial.brain.task), remedy)?;
     let OfBody { body, scene, limits, initial, relative_to } = match &trial.body.description {
         Some(description) => {
             check_clock_and_training(trial)?;
@@ -178,10 +182,6 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
         differentiable,
         "set optimise.protocol = \"joint\" or \"random\": \"paper\" trains for forces only",
     )?;
-    let designed = trial.variation.is_none() && trial.optimise.objective.is_none();
-    let remedy =
-        "remove [variation] and optimise.objective: bodies are trained for this task as designed only";
-    check(designed, remedy)?;
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
     }
@@ -191,7 +191,7 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
     varied.retain(|task| window.is_none() || *task != Task::Onset);
     varied.retain(|varied| task.map_or(*varied != Task::Kind, |task| *varied == task));
     let remedy = "the label is the same in all training samples: vary [stimuli] (stimuli.silent varies the number of struck \
-                  panels, stimuli.kind = \"mix\" the kind), or choose another task";
+                  panels, stimuli.kind = \"mix\" the kind), or choose another task; with brain.window, onsets do not count";
     check(!varied.is_empty(), remedy)?;
     at_least("stimuli.test", trial.stimuli.test, RECORDS_MIN)?;
     Ok(Tasks { trained: varied, window })

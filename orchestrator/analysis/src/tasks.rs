@@ -24,7 +24,7 @@ pub struct TaskResult {
     pub trained_for: String,
     /// Task and unit of its error.
     pub task: (String, String),
-    /// Readout: from signals or from estimated forces.
+    /// Readout: from signals (`direct`, `network`) or from estimated forces (`decoded`).
     pub readout: String,
     /// Errors on the held-out set, of the initial and the trained body.
     pub errors: [f64; 2],

@@ -29,7 +29,7 @@ pub struct TrialProgress {
     pub holdout: Option<f64>,
     /// Errors (%) on casts, by decoder and number of calibration records.
     pub casts: HashMap<(String, u32), Vec<f64>>,
-    /// Held-out error of the optimised body by task, with the better readout.
+    /// Held-out error of the optimised body by task, with the better readout, direct or decoded.
     pub tasks: HashMap<String, f64>,
 }
 
@@ -84,8 +84,9 @@ impl Reader {
             Ok::<_, StoreError>(())
         })
         .await?;
-        let sql =
-            "SELECT hash, task, min(error) AS error FROM v_task WHERE body = 'optimised' GROUP BY hash, task";
+        // networks of tasks are not exported to devices
+        let sql = "SELECT hash, task, min(error) AS error FROM v_task WHERE body = 'optimised' AND readout <> 'network'
+             GROUP BY hash, task";
         self.each(sql, |row| {
             if let (Some(standing), Some(error)) = (found.get_mut(row.text("hash")), row.number("error")) {
                 standing.tasks.insert(row.text("task").to_owned(), error);

@@ -126,7 +126,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
              body divided by that of the trained body, geometric means over trials; lines: 95 % intervals. Classes: percentage \
              of the samples of a true class with each estimate; frequency with which an estimated class is true, by its probability. \
              Position: mean error by the panel with the greatest force. All \
-             pool the bodies of the first K and M that were trained for the task, or all of them if none was. Last: the ratio \
+             pool the bodies of the first K and M (and the shortest window) that were trained for the task, or all of them if none was. Last: the ratio \
              of the dots by the task for which the body was trained, for all trainings.{}",
             left_out(found.len(), MOST_SETTINGS)
         ),
@@ -140,11 +140,15 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     )
 }
 
-/// Confusion of classes, and errors of positions, of direct readouts on both bodies.
+/// Confusion of classes, and errors of positions, of direct readouts on both bodies, in the shortest window if there are several.
 fn details(trials: &[&Trial]) -> Vec<Picture> {
     let Some(first) = trials.iter().find(|trial| !trial.tasks.is_empty()) else { return Vec::new() };
-    let label = format!("K = {}, M = {}", first.panels, first.sensors);
-    let trials = || trials.iter().filter(|t| (t.panels, t.sensors) == (first.panels, first.sensors));
+    let of_first = || trials.iter().filter(|t| (t.panels, t.sensors) == (first.panels, first.sensors));
+    let window = |trial: &Trial| trial.setting.number("brain.window");
+    let shortest = of_first().filter_map(|trial| window(trial)).min_by(f64::total_cmp);
+    let words = shortest.map(|s| format!(", first {} ms", number(1e3 * s))).unwrap_or_default();
+    let label = format!("K = {}, M = {}{words}", first.panels, first.sensors);
+    let trials = || of_first().filter(|trial| window(trial) == shortest);
     let readings = || {
         let all = trials().flat_map(|trial| trial.tasks.iter().map(move |read| (*trial, read)));
         all.filter(|(_, read)| read.readout == "direct" && !read.detail.is_empty())

@@ -16,7 +16,7 @@ use super::Task;
 pub struct Goal {
     /// Largest error on samples that are not used for training. Unit: %. Default: must be given.
     pub error: f64,
-    /// Largest error of each sensing task, by the better of its two readouts, such as `{ panel = 5.0, position = 5.0 }`. Needs
+    /// Largest error of each sensing task, by the better readout, direct or decoded, such as `{ panel = 5.0, position = 5.0 }`. Needs
     /// `evaluation.tasks = true`. Unit: that of the task (`metasense body tasks --help`). Default: none.
     pub tasks: Option<BTreeMap<Task, f64>>,
     /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: none: the error of

@@ -56,7 +56,7 @@ pub enum Task {
     Onset,
     /// The part of `stimuli.mix` that the sample has: its kind of forces.
     Kind,
-    /// All of them that vary, except `forces` and `kind`, with equal weights.
+    /// All of them that vary, except `forces`, `kind` and, with `window`, `onset`, with equal weights.
     All,
 }
 
@@ -120,13 +120,15 @@ pub struct Brain {
     #[serde(skip_serializing_if = "is_default")]
     pub kind: BrainKind,
     /// What the decoder estimates, and the body is trained for. Tasks other than `"forces"` need `kind = "linear"`: a ridge
-    /// regression on the signals of the whole sample, whose leave-one-out error trains the body. The errors of such a trial are
+    /// regression on the signals of the whole sample or of `window`, whose leave-one-out error trains the body. The errors of such a trial are
     /// 100·(1 − R²). Default: `"forces"`.
     #[serde(skip_serializing_if = "is_default")]
     pub task: Task,
-    /// Time from the first contact on that the readout of a task sees: its answer is known so long after contact. A contact is
-    /// the first reading above a tenth of its channel's RMS, and above five standard deviations of its error. For
-    /// `evaluation.tasks`, which then also fits a kernel ridge regression, and for tasks other than `"forces"` and `"onset"`. Unit: s. Default: the whole sample.
+    /// Time from the first contact on that the readout of a task sees: its answer is known this long after contact. A contact is
+    /// the first reading above a tenth of its channel's RMS (training samples of the initial body), and above five standard
+    /// deviations of its error. A sample without contact is read from its start; after its end, signals are 0. For
+    /// `evaluation.tasks`, which then also trains small networks, and for tasks other than `"forces"` and `"onset"`. Unit: s.
+    /// Default: the whole sample.
     pub window: Option<f64>,
     /// Memory of a linear decoder, `[before, after]` an instant; `after = 0` suits a device that estimates without delay. An
     /// inverse decoder uses all earlier readings and this look-ahead; a `causal` stacked decoder uses all earlier readings and no

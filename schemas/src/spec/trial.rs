@@ -106,10 +106,10 @@ impl Training {
         if spec.optimise.linear() {
             // a body for an inverse decoder is simulated in double precision from the first step
             let kind = Some(spec.brain.kind).filter(|kind| *kind == BrainKind::Inverse).unwrap_or_default();
-            let Brain { task, memory, ridge, window, .. } = spec.brain;
-            let window = window.filter(|_| !task.is_forces());
+            let Brain { task, window, memory, ridge, .. } = spec.brain;
             spec.brain = Brain { kind, task, window, memory, ridge, ..Brain::default() };
         }
+        spec.brain.window = spec.brain.window.filter(|_| !spec.brain.task.is_forces());
         if spec.optimise.objective.is_none() {
             spec.variation = None;
         }

@@ -53,10 +53,14 @@ int brain_read(const float *reading, float *estimates)
 int main(void)
 {
     float greatest = 0.0f, estimates[BRAIN_ESTIMATES];
-    int told = 0;
+    int told = 0, further = 0;
     for (int n = 0, answered = 0; n < VALUES / BRAIN_CHANNELS; n++) {
         if (n % (VALUES / SAMPLES / BRAIN_CHANNELS) == 0) brain_reset(), answered = 0;
-        if (!brain_read(SIGNALS + n * BRAIN_CHANNELS, estimates) || answered++) continue;
+        if (!brain_read(SIGNALS + n * BRAIN_CHANNELS, estimates)) continue;
+        if (answered++) {
+            further++;
+            continue;
+        }
         for (int e = 0; e < BRAIN_ESTIMATES; e++) {
             float off = (estimates[e] - ESTIMATES[told * BRAIN_ESTIMATES + e]) / BOUND[e];
             off = off < 0.0f ? -off : off;
@@ -64,7 +68,7 @@ int main(void)
         }
         told++;
     }
-    printf("greatest difference %g of what is allowed, %d samples\n", greatest, told);
+    printf("greatest difference %g of what is allowed, %d samples, %d further contacts\n", greatest, told, further);
     return greatest <= 1.0f && told == SAMPLES ? 0 : 1;
 }
 #endif

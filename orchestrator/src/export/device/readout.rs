@@ -2,7 +2,9 @@
 
 use std::fmt::Write;
 
+use metasense_lab::capacity::hold;
 use metasense_lab::tasks::{Readout, TaskReadouts, readouts};
+use metasense_worker::run::Failure;
 
 use super::super::unreadable;
 use super::{Numbers, floats, whole};
@@ -57,13 +59,27 @@ impl<'a> Rounded<'a> {
 /// C99 source of the readouts of a trial's tasks, fitted to one of its bodies.
 ///
 /// # Errors
-/// If the trial cannot be computed again.
+/// If the trial cannot be computed again, or no held-out sample has a whole window.
 pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) -> Result<String, StoreError> {
     let spec = &stored.specs[body];
     let found = readouts(spec, &stored.designs[body], threads).map_err(unreadable(stored))?;
     let TaskReadouts { readouts, window, thresholds, block, scales, signals, starts, sums, labels } = &found;
     let (channels, instants, triggered) = (scales.len(), spec.time.samples, thresholds[0] >= 0.0);
     let blocks = window.div_ceil(*block);
+    // samples with contact and a whole window
+    let has_window = |(s, record): &(usize, &[f64])| {
+        let reading = &record[starts[*s] * channels..][..channels];
+        let contact = reading.iter().zip(thresholds).any(|(x, least)| x.abs() > *least);
+        contact && starts[*s] + window <= instants
+    };
+    let records = signals.chunks_exact(instants * channels).enumerate();
+    let tested: Vec<(usize, &[f64])> = records.filter(has_window).take(TESTED).collect();
+    if tested.is_empty() {
+        let why = "after contact, no held-out sample is as long as brain.window: shorten it, or lengthen time.duration";
+        return Err(unreadable(stored)(Failure::Rejected(why.into())));
+    }
+    // a body that still moves has no quiet period of its first natural frequency
+    let rest = if triggered { hold(spec).map_or(instants, |quarter| 4 * quarter).max(*window) } else { 0 };
     let rounded: Vec<Rounded> = readouts.iter().map(|of| Rounded::new(of, numbers)).collect();
     let of_all =
         |of: &Rounded| sums.chunks_exact(blocks * channels).map(|own| of.estimate(own, scales)).collect();
@@ -97,7 +113,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
    To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 
 #define BRAIN_INSTANTS {window}
-#define REST {rest} /* quiet readings between windows */
+#define REST {rest} /* quiet readings before the next contact */
 #define BRAIN_CHANNELS {channels}
 #define BRAIN_ESTIMATES {estimates}
 #define BLOCK {block}
@@ -115,7 +131,6 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
         operations = outputs * channels,
         estimates = estimated.iter().filter_map(|of| of.first()).map(Vec::len).sum::<usize>(),
         tasks = readouts.len(),
-        rest = if triggered { *window } else { 0 },
         from = match triggered {
             true => " from the first one above TRIGGER on",
             false => "",
@@ -143,14 +158,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
     text.push_str("/* outputs and classes (0: values) of each task */\n");
     whole(&mut text, "int COUNT", &rounded.iter().map(|of| of.outputs.len()).collect::<Vec<_>>());
     whole(&mut text, "int KIND", &readouts.iter().map(|of| of.classes.len()).collect::<Vec<_>>());
-    // samples with contact and a whole window
-    let has_window = |(s, record): &(usize, &[f64])| {
-        let reading = &record[starts[*s] * channels..][..channels];
-        let contact = reading.iter().zip(thresholds).any(|(x, least)| x.abs() > *least);
-        contact && starts[*s] + window <= instants
-    };
-    let records = signals.chunks_exact(instants * channels).enumerate();
-    test(&mut text, &records.filter(has_window).take(TESTED).collect::<Vec<_>>(), readouts, &estimated);
+    test(&mut text, &tested, readouts, &estimated);
     text.push_str(include_str!("readout.c"));
     Ok(text)
 }

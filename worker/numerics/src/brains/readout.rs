@@ -1,12 +1,11 @@
-//! Ridge regression of labels on the signals of whole records, with leave-one-out errors.
+//! Ridge regression of labels on the signals of records, with leave-one-out errors.
 //!
 //! ```text
 //! K = X Xᵀ, X centred     α = (K + λ)⁻¹ (y − mean y)     ŷ(x) = mean y + (x − mean x) Xᵀ α
 //! e = λα / (λ diag (K + λ)⁻¹ − 1/N)                      λ = 10² … 10⁻⁸ times the mean eigenvalue of K, with the least Σ e²
 //! ```
 //! e are the residuals of records that were left out of the fit (Hastie, Tibshirani and Friedman, The Elements of Statistical
-//! Learning, eq. 7.64, with an intercept). A common factor on all signals changes no e. Kernel ridge regression has
-//! exp(−|x − x'|²/2w²) in place of x·x', centred, with w² the median of |x − x'|² (section 5.8 there).
+//! Learning, eq. 7.64, with an intercept). A common factor on all signals changes no e.
 
 use nalgebra::{DMatrix, DVector, RowDVector, SymmetricEigen};
 
@@ -20,49 +19,7 @@ const ROUNDING: f64 = 1e-12;
 pub(super) struct Basis {
     x: DMatrix<f64>,
     mean: RowDVector<f64>,
-    kernel: Option<Kernel>,
     own: SymmetricEigen<f64, nalgebra::Dyn>,
-}
-
-/// A Gaussian kernel in place of inner products.
-#[derive(Debug, Clone)]
-struct Kernel {
-    /// w².
-    width: f64,
-    /// Mean of the kernel with each record.
-    means: RowDVector<f64>,
-}
-
-impl Kernel {
-    /// With the median of squared distances between these records.
-    fn of(x: &DMatrix<f64>) -> Self {
-        let squares = distances(x, x);
-        let mut between: Vec<f64> =
-            (1..x.nrows()).flat_map(|i| (0..i).map(move |j| (i, j))).map(|at| squares[at]).collect();
-        let middle = between.len() / 2;
-        let width = between.select_nth_unstable_by(middle, f64::total_cmp).1.max(f64::MIN_POSITIVE);
-        let means = squares.map(|square| (-0.5 * square / width).exp()).row_mean();
-        Self { width, means }
-    }
-
-    /// Kernel of records z (n, p) with the records x (N, p) of the fit, centred by the means of these.
-    fn products(&self, z: &DMatrix<f64>, x: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut kernel = distances(z, x).map(|square| (-0.5 * square / self.width).exp());
-        let all = self.means.mean();
-        for mut row in kernel.row_iter_mut() {
-            let mean = row.mean();
-            row -= &self.means;
-            row.add_scalar_mut(all - mean);
-        }
-        kernel
-    }
-}
-
-/// Squared distances between the rows of two matrices.
-fn distances(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
-    let squares = |x: &DMatrix<f64>| x.row_iter().map(|row| row.norm_squared()).collect::<Vec<_>>();
-    let (of_a, of_b, products) = (squares(a), squares(b), a * b.transpose());
-    DMatrix::from_fn(a.nrows(), b.nrows(), |i, j| (of_a[i] + of_b[j] - 2.0 * products[(i, j)]).max(0.0))
 }
 
 /// A regression on a basis.
@@ -78,11 +35,6 @@ pub(super) struct Output {
     pub(super) residuals: DVector<f64>,
 }
 
-/// Inner products, or the kernel, of centred records z (n, p) with those of the fit (N, p).
-fn products(kernel: Option<&Kernel>, z: &DMatrix<f64>, x: &DMatrix<f64>) -> DMatrix<f64> {
-    kernel.map_or_else(|| z * x.transpose(), |kernel| kernel.products(z, x))
-}
-
 impl Output {
     /// Σ e².
     pub(super) fn squares(&self) -> f64 {
@@ -91,16 +43,15 @@ impl Output {
 }
 
 impl Basis {
-    /// From the signals (N, p) of N records; `gaussian`: with a Gaussian kernel.
-    pub(super) fn new(signals: &[f64], records: usize, gaussian: bool) -> Self {
+    /// From the signals (N, p) of N records.
+    pub(super) fn new(signals: &[f64], records: usize) -> Self {
         let mut x = DMatrix::from_row_slice(records, signals.len() / records, signals);
         let mean = x.row_mean();
         x.row_iter_mut().for_each(|mut row| row -= &mean);
-        let kernel = gaussian.then(|| Kernel::of(&x));
-        let mut own = SymmetricEigen::new(products(kernel.as_ref(), &x, &x));
+        let mut own = SymmetricEigen::new(&x * x.transpose());
         let least = ROUNDING * own.eigenvalues.max();
         own.eigenvalues.apply(|value| *value = if *value < least { 0.0 } else { *value });
-        Self { x, mean, kernel, own }
+        Self { x, mean, own }
     }
 
     /// N.
@@ -140,20 +91,20 @@ impl Basis {
         let len = self.x.ncols();
         let mut x = DMatrix::from_row_slice(signals.len() / len, len, signals);
         x.row_iter_mut().for_each(|mut row| row -= &self.mean);
-        let products = products(self.kernel.as_ref(), &x, &self.x);
+        let products = x * self.x.transpose();
         let columns: Vec<DVector<f64>> =
             outputs.iter().map(|output| (&products * &output.weights).add_scalar(output.mean)).collect();
         DMatrix::from_columns(&columns)
     }
 
-    /// Weights (p) and constant of an output without a kernel: ŷ = constant + Σ weight · signal.
+    /// Weights (p) and constant of an output: ŷ = constant + Σ weight · signal.
     pub(super) fn weights(&self, output: &Output) -> (Vec<f64>, f64) {
         let weights = self.x.tr_mul(&output.weights);
         let constant = output.mean - self.mean.transpose().dot(&weights);
         (weights.as_slice().to_vec(), constant)
     }
 
-    /// Cotangent of Σ factor Σ e², without a kernel, on the signals (N, p). λ moves with the mean eigenvalue.
+    /// Cotangent of Σ factor Σ e² on the signals (N, p). λ moves with the mean eigenvalue.
     ///
     /// With A = (K + λ)⁻¹, d = λ diag A − 1/N and v = 2λe/d: dΣe² = ⟨v (y − mean y)ᵀ − diag(v e), dA⟩ at fixed λ, dA = −A dK A.
     pub(super) fn squares_vjp<'a>(&self, outputs: impl Iterator<Item = (f64, &'a Output)>) -> Vec<f64> {

@@ -6,6 +6,7 @@
 
 mod calibration;
 mod estimates;
+mod network;
 mod weights;
 mod window;
 
@@ -213,15 +214,7 @@ impl TaskFit {
 impl Readout {
     /// Fits readouts to the signals (N, p) of N records with these labels per task.
     pub fn new(signals: &[f64], tasks: &[(Task, Labels)]) -> Self {
-        Self::on(Basis::new(signals, tasks[0].1.len(), false), tasks)
-    }
-
-    /// The same with a Gaussian kernel.
-    pub fn with_kernel(signals: &[f64], tasks: &[(Task, Labels)]) -> Self {
-        Self::on(Basis::new(signals, tasks[0].1.len(), true), tasks)
-    }
-
-    fn on(basis: Basis, tasks: &[(Task, Labels)]) -> Self {
+        let basis = Basis::new(signals, tasks[0].1.len());
         let fits = tasks.iter().map(|(task, labels)| TaskFit::new(*task, &basis, labels)).collect();
         Self { basis, fits }
     }

@@ -25,7 +25,7 @@ pub struct Calibration {
 }
 
 /// Probabilities of classes with these outputs.
-fn softmax<'a>(outputs: impl Iterator<Item = &'a f64> + Clone, sharpness: f64) -> Vec<f64> {
+pub(super) fn softmax<'a>(outputs: impl Iterator<Item = &'a f64> + Clone, sharpness: f64) -> Vec<f64> {
     let most = outputs.clone().copied().fold(f64::NEG_INFINITY, f64::max);
     let parts: Vec<f64> = outputs.map(|output| (sharpness * (output - most)).exp()).collect();
     let sum: f64 = parts.iter().sum();
@@ -82,7 +82,12 @@ impl Readout {
 }
 
 /// Calibration of probabilities of these classes, of a readout fitted to `known` records.
-fn calibration(classes: &[f64], probabilities: &[Vec<f64>], truth: &Labels, known: usize) -> Calibration {
+pub(super) fn calibration(
+    classes: &[f64],
+    probabilities: &[Vec<f64>],
+    truth: &Labels,
+    known: usize,
+) -> Calibration {
     let mut sums = [[0.0; 3]; BINS];
     let mut log_loss = 0.0;
     for (p, label) in probabilities.iter().zip(truth) {

@@ -1,8 +1,9 @@
 //! Errors of readouts of every task, fitted to one body's signals, and of the decoder of the forces.
 //!
 //! `direct` is ridge regression from the signals of the record, or of its window, to the labels ([`Readout`]). `decoded` is the label of
-//! forces that a linear decoder estimates. In a window, `kernel` is kernel ridge regression. Samples without force and failed samples are not used.
+//! forces that a linear decoder estimates. In a window, `network` is a small network per task. Samples without force and failed samples are not used.
 
+use super::network::Network;
 use super::window::{Window, shifted};
 use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
 use crate::brain::linear::Sizes;
@@ -15,7 +16,7 @@ use crate::trial::{Decoder, Samples, Trial, Trouble, pick};
 pub struct TaskEstimate {
     /// Name of the task, and unit of its error.
     pub task: (&'static str, &'static str),
-    /// `"direct"`, `"kernel"` or `"decoded"`.
+    /// `"direct"`, `"network"` or `"decoded"`.
     pub readout: &'static str,
     /// Error in the task's unit.
     pub error: f64,
@@ -38,24 +39,77 @@ pub struct TaskEstimate {
     pub casts: Option<f64>,
 }
 
-/// Training and test samples of a body.
+/// Samples of a body.
+#[derive(Clone, Copy)]
 struct Observations<'a> {
-    /// Signals of both sets in their windows (N, len × channels), of comparable size.
-    signals: [&'a [f64]; 2],
-    /// First instants of the windows of both sets (N).
-    starts: [&'a [usize]; 2],
-    /// Forces of both sets (N, T, K) (N).
-    forces: [&'a [f64]; 2],
-    /// Parts of the mixture of both sets (N).
-    parts: [&'a [usize]; 2],
-    /// Forces of the test set (N, T, K) (N) that a linear decoder estimates.
-    decoded: &'a [f64],
-    /// Whether windows start with the contact.
-    windowed: bool,
-    /// Number of instants T.
-    instants: usize,
-    /// Computes labels.
+    /// Signals in their windows (N, len × channels), of comparable size.
+    signals: &'a [f64],
+    /// First instants of the windows (N).
+    starts: &'a [usize],
+    /// Forces (N, T, K) (N).
+    forces: &'a [f64],
+    /// Parts of the mixture (N).
+    parts: &'a [usize],
+}
+
+impl Observations<'_> {
+    /// Labels of these forces (N, T, K) for a task.
+    fn labels(&self, labeller: &Labeller, task: Task, forces: &[f64]) -> Labels {
+        let samples = forces.chunks_exact(forces.len() / self.parts.len()).zip(self.parts);
+        samples.map(|(own, part)| labeller.label(task, own, *part)).collect()
+    }
+}
+
+/// Readouts of all tasks whose labels vary among the training samples.
+struct Fits<'a> {
     labeller: &'a Labeller,
+    /// Labels of the training samples, by task.
+    known: Vec<(Task, Labels)>,
+    readout: Option<Readout>,
+    /// One per task, or none.
+    networks: Vec<Network>,
+}
+
+impl<'a> Fits<'a> {
+    /// Fits readouts; `seed`: also trains networks.
+    fn new(known: &Observations, instants: usize, labeller: &'a Labeller, seed: Option<u64>) -> Self {
+        let varied = labeller.varied(known.forces, known.parts, instants).into_iter();
+        let labels: Vec<(Task, Labels)> =
+            varied.map(|task| (task, known.labels(labeller, task, known.forces))).collect();
+        let move_back = |(task, labels): &(Task, Labels)| {
+            (*task, shifted(*task, labels.clone(), known.starts, labeller.interval, -1.0))
+        };
+        let in_window: Vec<(Task, Labels)> = labels.iter().map(move_back).collect();
+        let readout = (!labels.is_empty()).then(|| Readout::new(known.signals, &in_window));
+        let train = |seed: u64| {
+            let one = move |(task, labels): &(Task, Labels)| Network::new(seed, *task, known.signals, labels);
+            in_window.iter().map(one).collect()
+        };
+        Self { labeller, known: labels, readout, networks: seed.map(train).unwrap_or_default() }
+    }
+
+    /// Labels that readouts and networks estimate from the signals of test samples, per task; calibrations of classes.
+    fn estimates(
+        &self,
+        test: &Observations,
+        truths: &[Labels],
+    ) -> Vec<Vec<(&'static str, Labels, Option<Calibration>)>> {
+        let Some(readout) = &self.readout else { return Vec::new() };
+        let direct = readout.estimates(test.signals).into_iter();
+        let direct = direct.zip(readout.calibrations(&self.known, test.signals, truths));
+        let mut found: Vec<Vec<_>> =
+            direct.map(|(labels, calibration)| vec![("direct", labels, calibration)]).collect();
+        for (k, network) in self.networks.iter().enumerate() {
+            let (labels, calibration) = network.estimates(test.signals, &truths[k], self.known[k].1.len());
+            found[k].push(("network", labels, calibration));
+        }
+        for ((task, _), own) in self.known.iter().zip(&mut found) {
+            for (_, labels, _) in own {
+                *labels = shifted(*task, std::mem::take(labels), test.starts, self.labeller.interval, 1.0);
+            }
+        }
+        found
+    }
 }
 
 /// Estimates of the forces, and of all tasks whose labels vary among the training samples, on the held-out set. The training, test
@@ -75,30 +129,25 @@ pub(crate) fn task_estimates(
         let found = (set.select(&used), pick(parts, parts.len(), &used));
         if used.len() < RECORDS_MIN { Err(Trouble::FewForces) } else { Ok(found) }
     };
-    let (known, known_parts) = with_force(&sets[0], &train)?;
     let window = Window::of(trial);
     let seen = |signals: &[f64]| {
         let whole = scales.inputs::<f64>(signals);
         let starts = window.starts(&whole);
         (window.signals(&whole, &starts), starts)
     };
-    let (inputs, starts) = seen(&known.signals);
+    let (known, parts) = with_force(&sets[0], &train)?;
+    let (signals, starts) = seen(&known.signals);
+    let known = Observations { signals: &signals, starts: &starts, forces: &known.targets, parts: &parts };
+    let labeller = trial.problem.labeller();
+    let seed = trial.problem.tasks.window.map(|_| trial.problem.seed);
+    let fits = Fits::new(&known, instants, &labeller, seed);
     let decoder = Decoder::whole(instants, channels);
     let fitted = decoder.fit(trial.problem.seed, &sets[0], Some(scales.channels.clone()), trial.pool)?;
-    let labeller = trial.problem.labeller();
     let estimates = |test: &Samples| {
         let (test, parts) = with_force(test, &holdout)?;
-        let (test_inputs, test_starts) = seen(&test.signals);
-        Ok(tasks(&Observations {
-            signals: [&inputs, &test_inputs],
-            starts: [&starts, &test_starts],
-            forces: [&known.targets, &test.targets],
-            parts: [&known_parts, &parts],
-            decoded: &fitted.predict(&test.signals),
-            windowed: trial.problem.tasks.window.is_some(),
-            instants,
-            labeller: &labeller,
-        }))
+        let (signals, starts) = seen(&test.signals);
+        let own = Observations { signals: &signals, starts: &starts, forces: &test.targets, parts: &parts };
+        Ok(tasks(&fits, &own, &fitted.predict(&test.signals)))
     };
     let mut found = estimates(&sets[2])?;
     let casts: Vec<Result<Vec<TaskEstimate>, Trouble>> = casts.map(|cast| estimates(&cast?)).collect();
@@ -110,53 +159,28 @@ pub(crate) fn task_estimates(
     Ok(found)
 }
 
-/// Estimates the forces and all tasks whose labels vary among the training samples.
-fn tasks(observations: &Observations) -> Vec<TaskEstimate> {
-    let &Observations { signals, starts, forces, parts, decoded, windowed, instants, labeller } =
-        observations;
-    let labels = |task: Task, forces: &[f64], parts: &[usize]| -> Labels {
-        let samples = forces.chunks_exact(instants * labeller.points.len()).zip(parts);
-        samples.map(|(own, part)| labeller.label(task, own, *part)).collect()
-    };
-    let varied = labeller.varied(forces[0], parts[0], instants).into_iter();
-    let known: Vec<(Task, Labels)> = varied.map(|task| (task, labels(task, forces[0], parts[0]))).collect();
-    let mut found = vec![observations.of_forces()];
-    if known.is_empty() {
-        return found;
-    }
-    let struck = labels(Task::Panel, forces[1], parts[1]);
-    let moved = |task, labels, starts, sign| shifted(task, labels, starts, labeller.interval, sign);
-    let in_window: Vec<(Task, Labels)> =
-        known.iter().map(|(task, labels)| (*task, moved(*task, labels.clone(), starts[0], -1.0))).collect();
-    let mut readouts = vec![("direct", Readout::new(signals[0], &in_window))];
-    if windowed {
-        readouts.push(("kernel", Readout::with_kernel(signals[0], &in_window)));
-    }
-    let truths: Vec<Labels> = known.iter().map(|(task, _)| labels(*task, forces[1], parts[1])).collect();
-    let mut read: Vec<_> = readouts
-        .iter()
-        .map(|(name, readout)| {
-            let calibrations = readout.calibrations(&known, signals[1], &truths);
-            (*name, readout.estimates(signals[1]).into_iter().zip(calibrations))
-        })
-        .collect();
-    for ((task, known), truth) in known.into_iter().zip(truths) {
-        let from_signals = read.iter_mut().map(|(name, estimates)| {
-            let (estimated, calibration) = estimates.next().expect("one per task");
-            (*name, moved(task, estimated, starts[1], 1.0), calibration)
-        });
-        let decoded = labels(task, decoded, parts[1]);
-        let trivial = error_of(task, &truth, &vec![trivial(task, &known); truth.len()]);
+/// Estimates of the forces and all tasks on test samples, whose forces (N, T, K) (N) a linear decoder estimates as `decoded`.
+fn tasks(fits: &Fits, test: &Observations, decoded: &[f64]) -> Vec<TaskEstimate> {
+    let labeller = fits.labeller;
+    let mut found = vec![of_forces(test.forces, decoded, labeller, test.parts.len())];
+    let struck = test.labels(labeller, Task::Panel, test.forces);
+    let truths: Vec<Labels> =
+        fits.known.iter().map(|(task, _)| test.labels(labeller, *task, test.forces)).collect();
+    let from_signals = fits.estimates(test, &truths);
+    for (((task, known), truth), read) in fits.known.iter().zip(&truths).zip(from_signals) {
+        let task = *task;
+        let decoded = test.labels(labeller, task, decoded);
+        let trivial = error_of(task, truth, &vec![trivial(task, known); truth.len()]);
         // forces do not determine the part that generated them
         let decoded = (task != Task::Kind).then_some(("decoded", decoded, None));
-        for (readout, estimated, calibration) in from_signals.chain(decoded) {
-            let Score { error, interval, score } = Score::of(task, &truth, &estimated);
+        for (readout, estimated, calibration) in read.into_iter().chain(decoded) {
+            let Score { error, interval, score } = Score::of(task, truth, &estimated);
             let least = match task {
                 Task::Panel | Task::Count | Task::Kind => 50.0 / truth.len() as f64,
                 Task::Onset => 500.0 * labeller.interval / truth.len() as f64,
                 Task::Position | Task::Peak | Task::Impulse => 0.0,
             };
-            let detail = detail(task, &truth, &estimated, &struck);
+            let detail = detail(task, truth, &estimated, &struck);
             let (task, samples) = (task.name(), truth.len());
             found.push(TaskEstimate {
                 task,
@@ -202,25 +226,23 @@ fn squares(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-impl Observations<'_> {
-    /// Mean error of the decoded forces (%).
-    fn of_forces(&self) -> TaskEstimate {
-        let (truth, said) = (self.forces[1], self.decoded);
-        let errors = prediction_error(truth, said, self.labeller.points.len(), self.instants);
-        let errors: Vec<f64> = errors.into_iter().flatten().collect();
-        let (error, interval) = mean(&errors);
-        let average = truth.iter().sum::<f64>() / truth.len() as f64;
-        let score = 1.0 - squares(truth, said) / truth.iter().map(|f| (f - average).powi(2)).sum::<f64>();
-        TaskEstimate {
-            task: ("forces", "%"),
-            readout: "decoded",
-            error,
-            interval,
-            trivial: 100.0,
-            samples: errors.len(),
-            score,
-            ..TaskEstimate::default()
-        }
+/// Mean error of decoded forces (N, T, K) (%), with their true ones.
+fn of_forces(truth: &[f64], said: &[f64], labeller: &Labeller, samples: usize) -> TaskEstimate {
+    let panels = labeller.points.len();
+    let errors = prediction_error(truth, said, panels, truth.len() / panels / samples);
+    let errors: Vec<f64> = errors.into_iter().flatten().collect();
+    let (error, interval) = mean(&errors);
+    let average = truth.iter().sum::<f64>() / truth.len() as f64;
+    let score = 1.0 - squares(truth, said) / truth.iter().map(|f| (f - average).powi(2)).sum::<f64>();
+    TaskEstimate {
+        task: ("forces", "%"),
+        readout: "decoded",
+        error,
+        interval,
+        trivial: 100.0,
+        samples: errors.len(),
+        score,
+        ..TaskEstimate::default()
     }
 }
 

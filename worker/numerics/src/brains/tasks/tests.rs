@@ -83,58 +83,6 @@ fn residuals_are_those_of_records_left_out() {
     }
 }
 
-/// With a kernel, a residual is the error of a regression with a free constant on the other records' kernel of the same width.
-#[test]
-fn residuals_with_a_kernel_are_those_of_records_left_out() {
-    let (signals, tasks) = records();
-    let readout = Readout::with_kernel(&signals, &tasks);
-    let output = &readout.fits[0].outputs[0];
-    let x: Vec<&[f64]> = signals.chunks_exact(9).collect();
-    let square = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-    let mut squares: Vec<f64> =
-        (0..14).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| square(x[i], x[j])).collect();
-    squares.sort_by(f64::total_cmp);
-    let kernel = |i: usize, j: usize| (-0.5 * square(x[i], x[j]) / squares[squares.len() / 2]).exp();
-    // λ is relative to the mean eigenvalue of the centred kernel
-    let all = DMatrix::from_fn(14, 14, kernel);
-    let ridge = output.share * (all.trace() - all.sum() / 14.0) / 14.0;
-    for left_out in 0..14 {
-        let others: Vec<usize> = (0..14).filter(|&i| i != left_out).collect();
-        let system = DMatrix::from_fn(14, 14, |i, j| match (others.get(i), others.get(j)) {
-            (Some(&a), Some(&b)) => kernel(a, b) + if a == b { ridge } else { 0.0 },
-            (None, None) => 0.0,
-            _ => 1.0,
-        });
-        let known = others.iter().map(|&i| tasks[0].1[i][0]).chain([0.0]);
-        let solved = system.lu().solve(&DVector::from_iterator(14, known)).unwrap();
-        let said =
-            others.iter().zip(&solved).map(|(&i, a)| kernel(left_out, i) * a).sum::<f64>() + solved[13];
-        let (found, wanted) = (output.residuals[left_out], said - tasks[0].1[left_out][0]);
-        assert!((found.abs() - wanted.abs()).abs() < 1e-6, "{left_out}: {found} {wanted}");
-    }
-}
-
-/// A kernel estimates what no linear readout can; estimates do not depend on the other records that are estimated.
-#[test]
-fn a_kernel_estimates_products_of_signals() {
-    let mut stream = Stream::new(Purpose::Stimulus, 6, [0, 0]);
-    let mut records = |n: usize| {
-        let x: Vec<f64> = (0..2 * n).map(|_| stream.normal()).collect();
-        let labels: Labels = x.chunks_exact(2).map(|x| vec![x[0] * x[1]]).collect();
-        (x, [(Task::Peak, labels)])
-    };
-    let ((x, known), (tests, truth)) = (records(200), records(100));
-    let error = |readout: &Readout| {
-        let found = &readout.estimates(&tests)[0];
-        let squares = found.iter().zip(&truth[0].1).map(|(a, b)| (a[0] - b[0]).powi(2));
-        squares.sum::<f64>() / truth[0].1.iter().map(|label| label[0].powi(2)).sum::<f64>()
-    };
-    let (linear, kernel) = (Readout::new(&x, &known), Readout::with_kernel(&x, &known));
-    assert!(error(&linear) > 0.9 && error(&kernel) < 0.1, "{} {}", error(&linear), error(&kernel));
-    let alone = &kernel.estimates(&tests[6..8])[0][0];
-    assert!((alone[0] - kernel.estimates(&tests)[0][3][0]).abs() < 1e-9);
-}
-
 /// Records of two classes with known probabilities: the probabilities of a readout are nearly as good, and calibrated. A class that
 /// no training record has, and classes without error, have a finite loss.
 #[test]

@@ -1,6 +1,7 @@
 //! The part of a record that a readout sees: all of it, or a time from the first contact on.
 //!
-//! Contact: the first reading above a tenth of its channel's scale and above five standard deviations of its error.
+//! Contact: the first reading above a tenth of its channel's scale (RMS of the initial body's training signals) and above five
+//! standard deviations of its error.
 
 use super::{Labels, Task};
 use crate::trial::Trial;
