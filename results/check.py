@@ -962,7 +962,7 @@ def relaxing():
 def findings():
     """Numbers in the findings of README, compared with tables that are checked above, or with rows."""
     text = re.search(r"<!-- generated: findings -->\n(.*?)<!-- end -->", (HERE.parent / "README.md").read_text(), re.S)[1]
-    senses, casts, memory, places, located, paper = text.strip().split("\n")
+    senses, casts, memory, places, blows, paper = text.strip().split("\n")
     said = lambda bullet, pattern: list(re.search(pattern, bullet).groups())
     share = r"([\d.]+ %)"
     reads = {line[0]: line[1:] for line in table("who senses")}
@@ -982,8 +982,10 @@ def findings():
     at = {tuple(line[:2]): line[2:] for line in table("placed")}
     best, random = at["linear decoder", "initial body, placed sensors"], at["linear decoder", "initial body, random sensors"]
     yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear decoder", "trained body, placed sensors"][3]]
-    [blows] = [line for line in table("position") if line[:4] == ["position", "position", "20 ms", "direct"]]
-    yield said(located, r"error ([\d.]+) mm .* body, ([\d.]+) mm"), [cell.split(" (")[0] for cell in blows[6:8]]
+    def located(readout):
+        [line] = [line for line in table("position") if line[:4] == ["position", "position", "20 ms", readout]]
+        return " → ".join(cell.split(" (")[0] for cell in line[6:8])
+    yield said(blows, r"error ([\d.]+ → [\d.]+) mm .*, ([\d.]+ → [\d.]+) mm with"), [located("direct"), located("network")]
     rated = {}
     for says, _, _, *cells in table("claims"):  # `authors` checks the authors' scenes
         [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]

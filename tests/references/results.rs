@@ -58,7 +58,11 @@ pub fn findings() -> String {
         only_row(&cast, &wanted)
     };
     let longer = "mean, one, iterations = 225";
-    let located = |body: &str| super::tasks::mean_position_error(body);
+    let located = |readout| {
+        let [initial, trained] =
+            ["initial", "optimised"].map(|body| super::tasks::position_error(readout, body));
+        format!("{initial} → {trained} mm")
+    };
     let (senses, against) = (who_senses::finding(), super::authors::two_against_six());
     format!(
         "{senses}\n\
@@ -72,8 +76,8 @@ pub fn findings() -> String {
          - **Good placement of sensors gains as much as more sensors; training gains again.** Four forces, linear decoder: on the initial \
          body four placed sensors have {}, six random ones {}; on a trained body the four have {} \
          ([details](results/README.md#placement-of-sensors)).\n\
-         - **One sensor locates a blow 20 ms after contact.** Body of 90 mm, 3 % noise, blows anywhere along its upper edge, linear readout: \
-         mean error {} mm on the initial body, {} mm on a body trained for this task \
+         - **One sensor locates a blow 20 ms after contact.** Body of 90 mm, 3 % noise, blows anywhere along its upper edge, initial → trained \
+         body: mean error {} with a linear readout, {} with a small network \
          ([details](results/README.md#tasks-other-than-forces)).\n\
          - **Of {} claims of the paper, {} hold with every decoder that we tried, {} with some or in part.** {} fails; the others show no \
          effect or stay open. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
@@ -91,8 +95,8 @@ pub fn findings() -> String {
         percent(place("4"), "placed_initial"),
         percent(place("6"), "random_initial"),
         percent(place("4"), "placed_optimised"),
-        located("initial"),
-        located("optimised"),
+        located("direct"),
+        located("network"),
         claims.len(),
         all,
         some,

@@ -109,16 +109,12 @@ pub fn decoded() -> String {
     table(&columns, TRAININGS[..7].iter().map(line))
 }
 
-/// Mean error of positions (mm) of linear readouts, 20 ms after contact, on a body before or after training for this task.
-pub fn mean_position_error(body: &str) -> String {
-    let wanted = [
-        ("trained_for", "position"),
-        ("task", "position"),
-        ("window", "20"),
-        ("readout", "direct"),
-        ("body", body),
-    ];
-    rounded_mean(&of(&rows("position/rows.csv"), &wanted).map(|row| number(row, "error")).collect::<Vec<_>>())
+/// Mean error of positions (mm) of a readout, 20 ms after contact, on the initial body or one trained for positions.
+pub fn position_error(readout: &str, body: &str) -> String {
+    let training = [("trained_for", "position"), ("task", "position"), ("window", "20")];
+    let wanted = [&training[..], &[("readout", readout), ("body", body)]].concat();
+    let all = rows("position/rows.csv");
+    rounded_mean(&of(&all, &wanted).map(|row| number(row, "error")).collect::<Vec<_>>())
 }
 
 /// One line per training, window and readout of `position-two-core`: means over seeds, and the ratio of the errors of the initial and
