@@ -6,6 +6,7 @@
 use super::network::Network;
 use super::window::{Window, shifted};
 use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
+use crate::Pool;
 use crate::brain::linear::Sizes;
 use crate::brain::prediction_error;
 use crate::student::student;
@@ -44,6 +45,8 @@ pub struct TaskEstimate {
 struct Observations<'a> {
     /// Signals in their windows (N, len × channels), of comparable size.
     signals: &'a [f64],
+    /// Their sums over blocks of instants, for networks (N, blocks × channels).
+    sums: &'a [f64],
     /// First instants of the windows (N).
     starts: &'a [usize],
     /// Forces (N, T, K) (N).
@@ -71,8 +74,13 @@ struct Fits<'a> {
 }
 
 impl<'a> Fits<'a> {
-    /// Fits readouts; `seed`: also trains networks.
-    fn new(known: &Observations, instants: usize, labeller: &'a Labeller, seed: Option<u64>) -> Self {
+    /// Fits readouts; with a seed, also trains networks.
+    fn new(
+        known: &Observations,
+        instants: usize,
+        labeller: &'a Labeller,
+        networks: Option<(u64, &Pool)>,
+    ) -> Self {
         let varied = labeller.varied(known.forces, known.parts, instants).into_iter();
         let labels: Vec<(Task, Labels)> =
             varied.map(|task| (task, known.labels(labeller, task, known.forces))).collect();
@@ -81,11 +89,14 @@ impl<'a> Fits<'a> {
         };
         let in_window: Vec<(Task, Labels)> = labels.iter().map(move_back).collect();
         let readout = (!labels.is_empty()).then(|| Readout::new(known.signals, &in_window));
-        let train = |seed: u64| {
-            let one = move |(task, labels): &(Task, Labels)| Network::new(seed, *task, known.signals, labels);
+        let train = |(seed, pool): (u64, &Pool)| {
+            let one = |(task, labels): &(Task, Labels)| {
+                pool.heartbeat().beat();
+                Network::new(seed, *task, known.sums, labels)
+            };
             in_window.iter().map(one).collect()
         };
-        Self { labeller, known: labels, readout, networks: seed.map(train).unwrap_or_default() }
+        Self { labeller, known: labels, readout, networks: networks.map(train).unwrap_or_default() }
     }
 
     /// Labels that readouts and networks estimate from the signals of test samples, per task; calibrations of classes.
@@ -100,7 +111,7 @@ impl<'a> Fits<'a> {
         let mut found: Vec<Vec<_>> =
             direct.map(|(labels, calibration)| vec![("direct", labels, calibration)]).collect();
         for (k, network) in self.networks.iter().enumerate() {
-            let (labels, calibration) = network.estimates(test.signals, &truths[k], self.known[k].1.len());
+            let (labels, calibration) = network.estimates(test.sums, &truths[k], self.known[k].1.len());
             found[k].push(("network", labels, calibration));
         }
         for ((task, _), own) in self.known.iter().zip(&mut found) {
@@ -133,20 +144,33 @@ pub(crate) fn task_estimates(
     let seen = |signals: &[f64]| {
         let whole = scales.inputs::<f64>(signals);
         let starts = window.starts(&whole);
-        (window.signals(&whole, &starts), starts)
+        let signals = window.signals(&whole, &starts);
+        (window.sums(&signals), signals, starts)
     };
     let (known, parts) = with_force(&sets[0], &train)?;
-    let (signals, starts) = seen(&known.signals);
-    let known = Observations { signals: &signals, starts: &starts, forces: &known.targets, parts: &parts };
+    let (sums, signals, starts) = seen(&known.signals);
+    let known = Observations {
+        signals: &signals,
+        sums: &sums,
+        starts: &starts,
+        forces: &known.targets,
+        parts: &parts,
+    };
     let labeller = trial.problem.labeller();
-    let seed = trial.problem.tasks.window.map(|_| trial.problem.seed);
-    let fits = Fits::new(&known, instants, &labeller, seed);
+    let networks = trial.problem.tasks.window.map(|_| (trial.problem.seed, trial.pool));
+    let fits = Fits::new(&known, instants, &labeller, networks);
     let decoder = Decoder::whole(instants, channels);
     let fitted = decoder.fit(trial.problem.seed, &sets[0], Some(scales.channels.clone()), trial.pool)?;
     let estimates = |test: &Samples| {
         let (test, parts) = with_force(test, &holdout)?;
-        let (signals, starts) = seen(&test.signals);
-        let own = Observations { signals: &signals, starts: &starts, forces: &test.targets, parts: &parts };
+        let (sums, signals, starts) = seen(&test.signals);
+        let own = Observations {
+            signals: &signals,
+            sums: &sums,
+            starts: &starts,
+            forces: &test.targets,
+            parts: &parts,
+        };
         Ok(tasks(&fits, &own, &fitted.predict(&test.signals)))
     };
     let mut found = estimates(&sets[2])?;

@@ -1,14 +1,8 @@
 //! Readouts of the trial's tasks as weights of the signals, for a device.
 
 use super::estimates::error_of;
-use super::window::Window;
 use super::{Labelled, Labels, Readout, Task, greatest};
-use crate::brain::linear::Sizes;
 use crate::trial::{Samples, Trial, Trouble, pick};
-
-/// Greatest number of blocks of instants with one weight per channel. In the authors' scene, 25 blocks of 40 ms have the errors of a
-/// weight per instant; with 17, errors of impulses double.
-const BLOCKS: usize = 25;
 
 /// A readout as weights of sums of the signals over blocks of instants: output = constant + Σ weight · sum / scale.
 #[derive(Debug, Clone, PartialEq)]
@@ -79,26 +73,24 @@ pub struct TaskReadouts {
 /// If the training samples are too few or too similar.
 pub(crate) fn task_readouts(trial: &Trial, sets: &[Samples; 3]) -> Result<TaskReadouts, Trouble> {
     let [train, _, holdout] = trial.problem.parts();
-    let Sizes { channels, .. } = sets[0].sizes;
-    let Window { len, thresholds, .. } = Window::of(trial);
-    let block = len.div_ceil(BLOCKS);
-    let sums = |signals: &[f64]| -> Vec<f64> {
-        let sum = |own: &[f64], c: usize| own.iter().skip(c).step_by(channels).sum::<f64>();
-        let blocks = signals.chunks_exact(len * channels).flat_map(|own| own.chunks(block * channels));
-        blocks.flat_map(|own| (0..channels).map(move |c| sum(own, c))).collect()
-    };
     let known = Labelled::of(trial, &sets[0], &train);
-    let readouts = Labelled { signals: sums(&known.signals), ..known }.fit()?.weights();
+    let sums = known.window.sums(&known.signals);
+    let readouts = Labelled { signals: sums, ..known }.fit()?.weights();
     let Labelled { used, window, starts, tasks, .. } = Labelled::of(trial, &sets[2], &holdout);
     let signals = pick(&sets[2].signals, sets[2].count(), &used);
     let scales = trial.scales.channels.clone();
     Ok(TaskReadouts {
         readouts,
-        window: len,
-        thresholds: thresholds.iter().zip(&scales).map(|(threshold, scale)| threshold * scale).collect(),
-        block,
+        window: window.len,
+        thresholds: window
+            .thresholds
+            .iter()
+            .zip(&scales)
+            .map(|(threshold, scale)| threshold * scale)
+            .collect(),
+        block: window.block(),
         scales,
-        sums: sums(&window.signals(&signals, &starts)),
+        sums: window.sums(&window.signals(&signals, &starts)),
         starts,
         signals,
         labels: tasks.into_iter().map(|(_, labels)| labels).collect(),
