@@ -1,8 +1,8 @@
 //! Sensing tasks besides force histories: which panel, where, how many, how hard, when; all from the same signals.
 //!
 //! A readout is a ridge regression from the signals of a record, or of a window from its first contact on (`window`), to the labels
-//! (`readout`). Classes are ±1; the greatest
-//! output wins. The loss of a task is the leave-one-out error 1 − R²; that of several tasks the geometric mean. Samples without force and failed samples are not used.
+//! (`readout`). Classes are ±1; the greatest output wins. The loss of a task is the leave-one-out error 1 − R²; that of several
+//! tasks the geometric mean. Samples without force and failed samples are not used.
 
 mod calibration;
 mod estimates;

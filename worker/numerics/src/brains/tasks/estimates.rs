@@ -1,7 +1,8 @@
 //! Errors of readouts of every task, fitted to one body's signals, and of the decoder of the forces.
 //!
-//! `direct` is ridge regression from the signals of the record, or of its window, to the labels ([`Readout`]). `decoded` is the label of
-//! forces that a linear decoder estimates. In a window, `network` is a small network per task. Samples without force and failed samples are not used.
+//! `direct` is ridge regression from the signals of the record, or of its window, to the labels ([`Readout`]); in a window, `network`
+//! is a small network per task. `decoded` is the label of forces that a linear decoder estimates. Samples without force and failed
+//! samples are not used.
 
 use super::network::Network;
 use super::window::{Window, shifted};
