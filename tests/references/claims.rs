@@ -136,9 +136,6 @@ pub fn files() -> [String; 3] {
 pub fn claims() -> String {
     let evidence = as_rows(evidence_table(found()));
     let authors = in_the_authors_scenes();
-    for r in &authors {
-        eprintln!("{} | {} | {} | {}", r["claim"], r["with"], r["set"], verdict(r));
-    }
     let mut lines = Vec::new();
     for claim in rated() {
         let of_claim: Vec<&Row> = evidence
