@@ -229,7 +229,7 @@ fn committed_specs_keep_their_hashes() {
     gradient c39bace70d622cb2
     long-training 656d530cd0c8056b
     placed-two-core 6a5121d9e7f59190
-    position-two-core 8958caced7162d33
+    position-two-core a88b1e3dc86a6f5e
     pressed db1612c5ed646b46
     protocol-map 462515f2d2ebde28
     quickstart 68d08d6f16f7ca41
