@@ -662,6 +662,10 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:17: optimise.batch = 9: must be at least 10",
     ),
     (
+        "[brain]\nkind = \"linear\"\ntask = \"peak\"\n[optimise]\nobjective = \"worst\"",
+        "s.toml:15: brain.task = \"peak\": remove [variation] and optimise.objective",
+    ),
+    (
         "[brain]\nkind = \"linear\"\ntask = \"all\"\n[optimise]\nobjective = \"mean\"",
         "s.toml:15: brain.task = \"all\": remove [variation] and optimise.objective",
     ),

@@ -182,6 +182,8 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
                             eventually(Duration::from_secs(5), gone).is_some(),
                             "workers outlive their run"
                         );
+                        // a thread of the run may still finish a write
+                        run.0.wait().unwrap();
                         counted.extend(of("running"));
                         break;
                     }
@@ -190,9 +192,8 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
         };
         assert_eq!(ended.code(), Some(0), "after {kills} kills");
         assert_eq!(results(&bench, &db), expected, "after {kills} kills");
-        // a result that the kill overtook is recorded after the attempt was seen running
-        let known: BTreeSet<_> = ["failed", "done"].into_iter().flat_map(of).collect();
-        assert!(known.is_superset(&counted), "seconds of {counted:?} were known, of {known:?} still are");
+        let failed = of("failed");
+        assert!(failed.is_superset(&counted), "seconds of {counted:?} were known, of {failed:?} still are");
     }
     println!("{kills} kills in {sweeps} sweeps, {within} of them within a comparison");
 }
