@@ -188,8 +188,10 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
     let contact = window.is_some() && task == Some(Task::Onset);
     check(!contact, "the contact gives the onset: remove brain.window, or choose another task")?;
     let mut varied = varied(problem);
-    varied.retain(|task| window.is_none() || *task != Task::Onset);
-    varied.retain(|varied| task.map_or(*varied != Task::Kind, |task| *varied == task));
+    varied.retain(|varied| match task {
+        Some(task) => *varied == task,
+        None => *varied != Task::Kind && (window.is_none() || *varied != Task::Onset),
+    });
     let remedy = "the label is the same in all training samples: vary [stimuli] (stimuli.silent varies the number of struck \
                   panels, stimuli.kind = \"mix\" the kind), or choose another task; with brain.window, onsets do not count";
     check(!varied.is_empty(), remedy)?;

@@ -63,22 +63,18 @@ impl<'a> Rounded<'a> {
 pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) -> Result<String, StoreError> {
     let spec = &stored.specs[body];
     let found = readouts(spec, &stored.designs[body], threads).map_err(unreadable(stored))?;
-    let TaskReadouts { readouts, window, thresholds, block, scales, signals, starts, sums, labels } = &found;
+    let TaskReadouts { readouts, window, thresholds, block, scales, signals, contacts, sums, labels } =
+        &found;
     let (channels, instants, triggered) = (scales.len(), spec.time.samples, thresholds[0] >= 0.0);
     let blocks = window.div_ceil(*block);
-    // samples with contact and a whole window
-    let has_window = |(s, record): &(usize, &[f64])| {
-        let reading = &record[starts[*s] * channels..][..channels];
-        let contact = reading.iter().zip(thresholds).any(|(x, least)| x.abs() > *least);
-        contact && starts[*s] + window <= instants
-    };
+    let has_window = |(s, _): &(usize, &[f64])| contacts[*s].is_some_and(|start| start + window <= instants);
     let records = signals.chunks_exact(instants * channels).enumerate();
     let tested: Vec<(usize, &[f64])> = records.filter(has_window).take(TESTED).collect();
     if tested.is_empty() {
         let why = "after contact, no held-out sample is as long as brain.window: shorten it, or lengthen time.duration";
         return Err(unreadable(stored)(Failure::Rejected(why.into())));
     }
-    // a body that still moves has no quiet period of its first natural frequency
+    // a body that still moves has no quiet period of its first natural frequency; without one, a sample's duration
     let rest = if triggered { hold(spec).map_or(instants, |quarter| 4 * quarter).max(*window) } else { 0 };
     let rounded: Vec<Rounded> = readouts.iter().map(|of| Rounded::new(of, numbers)).collect();
     let of_all =

@@ -42,24 +42,21 @@ pub struct TaskEstimate {
 }
 
 /// Samples of a body.
-#[derive(Clone, Copy)]
-struct Observations<'a> {
+struct Observations {
     /// Signals in their windows (N, len × channels), of comparable size.
-    signals: &'a [f64],
-    /// Their sums over blocks of instants, for networks (N, blocks × channels).
-    sums: &'a [f64],
+    signals: Vec<f64>,
     /// First instants of the windows (N).
-    starts: &'a [usize],
+    starts: Vec<usize>,
     /// Forces (N, T, K) (N).
-    forces: &'a [f64],
+    forces: Vec<f64>,
     /// Parts of the mixture (N).
-    parts: &'a [usize],
+    parts: Vec<usize>,
 }
 
-impl Observations<'_> {
+impl Observations {
     /// Labels of these forces (N, T, K) for a task.
     fn labels(&self, labeller: &Labeller, task: Task, forces: &[f64]) -> Labels {
-        let samples = forces.chunks_exact(forces.len() / self.parts.len()).zip(self.parts);
+        let samples = forces.chunks_exact(forces.len() / self.parts.len()).zip(&self.parts);
         samples.map(|(own, part)| labeller.label(task, own, *part)).collect()
     }
 }
@@ -70,34 +67,35 @@ struct Fits<'a> {
     /// Labels of the training samples, by task.
     known: Vec<(Task, Labels)>,
     readout: Option<Readout>,
-    /// One per task, or none.
-    networks: Vec<Network>,
+    /// The window of networks, and one network per task.
+    networks: Option<(&'a Window, Vec<Network>)>,
 }
 
 impl<'a> Fits<'a> {
-    /// Fits readouts; with a seed, also trains networks.
+    /// Fits readouts; with a window and a seed, also trains networks.
     fn new(
         known: &Observations,
         instants: usize,
         labeller: &'a Labeller,
-        networks: Option<(u64, &Pool)>,
+        networks: Option<(&'a Window, u64, &Pool)>,
     ) -> Self {
-        let varied = labeller.varied(known.forces, known.parts, instants).into_iter();
+        let varied = labeller.varied(&known.forces, &known.parts, instants).into_iter();
         let labels: Vec<(Task, Labels)> =
-            varied.map(|task| (task, known.labels(labeller, task, known.forces))).collect();
+            varied.map(|task| (task, known.labels(labeller, task, &known.forces))).collect();
         let move_back = |(task, labels): &(Task, Labels)| {
-            (*task, shifted(*task, labels.clone(), known.starts, labeller.interval, -1.0))
+            (*task, shifted(*task, labels.clone(), &known.starts, labeller.interval, -1.0))
         };
         let in_window: Vec<(Task, Labels)> = labels.iter().map(move_back).collect();
-        let readout = (!labels.is_empty()).then(|| Readout::new(known.signals, &in_window));
-        let train = |(seed, pool): (u64, &Pool)| {
+        let readout = (!labels.is_empty()).then(|| Readout::new(&known.signals, &in_window));
+        let train = |(window, seed, pool): (&'a Window, u64, &Pool)| {
+            let sums = window.sums(&known.signals);
             let one = |(task, labels): &(Task, Labels)| {
                 pool.heartbeat().beat();
-                Network::new(seed, *task, known.sums, labels)
+                Network::new(seed, *task, &sums, labels)
             };
-            in_window.iter().map(one).collect()
+            (window, in_window.iter().map(one).collect())
         };
-        Self { labeller, known: labels, readout, networks: networks.map(train).unwrap_or_default() }
+        Self { labeller, networks: networks.map(train), known: labels, readout }
     }
 
     /// Labels that readouts and networks estimate from the signals of test samples, per task; calibrations of classes.
@@ -107,17 +105,20 @@ impl<'a> Fits<'a> {
         truths: &[Labels],
     ) -> Vec<Vec<(&'static str, Labels, Option<Calibration>)>> {
         let Some(readout) = &self.readout else { return Vec::new() };
-        let direct = readout.estimates(test.signals).into_iter();
-        let direct = direct.zip(readout.calibrations(&self.known, test.signals, truths));
+        let direct = readout.estimates(&test.signals).into_iter();
+        let direct = direct.zip(readout.calibrations(&self.known, &test.signals, truths));
         let mut found: Vec<Vec<_>> =
             direct.map(|(labels, calibration)| vec![("direct", labels, calibration)]).collect();
-        for (k, network) in self.networks.iter().enumerate() {
-            let (labels, calibration) = network.estimates(test.sums, &truths[k], self.known[k].1.len());
-            found[k].push(("network", labels, calibration));
+        if let Some((window, networks)) = &self.networks {
+            let sums = window.sums(&test.signals);
+            for (k, network) in networks.iter().enumerate() {
+                let (labels, calibration) = network.estimates(&sums, &truths[k], self.known[k].1.len());
+                found[k].push(("network", labels, calibration));
+            }
         }
         for ((task, _), own) in self.known.iter().zip(&mut found) {
             for (_, labels, _) in own {
-                *labels = shifted(*task, std::mem::take(labels), test.starts, self.labeller.interval, 1.0);
+                *labels = shifted(*task, std::mem::take(labels), &test.starts, self.labeller.interval, 1.0);
             }
         }
         found
@@ -136,43 +137,28 @@ pub(crate) fn task_estimates(
 ) -> Result<Vec<TaskEstimate>, Trouble> {
     let Sizes { instants, channels, .. } = sets[0].sizes;
     let ([train, _, holdout], scales) = (trial.problem.parts(), &trial.scales);
-    let with_force = |set: &Samples, parts: &[usize]| {
-        let used = set.with_force();
-        let found = (set.select(&used), pick(parts, parts.len(), &used));
-        if used.len() < RECORDS_MIN { Err(Trouble::FewForces) } else { Ok(found) }
-    };
     let window = Window::of(trial);
-    let seen = |signals: &[f64]| {
-        let whole = scales.inputs::<f64>(signals);
-        let starts = window.starts(&whole);
-        let signals = window.signals(&whole, &starts);
-        (window.sums(&signals), signals, starts)
+    // with the signals of the whole record
+    let observe = |set: &Samples, parts: &[usize]| {
+        let used = set.with_force();
+        if used.len() < RECORDS_MIN {
+            return Err(Trouble::FewForces);
+        }
+        let Samples { signals: whole, targets: forces, .. } = set.select(&used);
+        let inputs = scales.inputs(&whole);
+        let starts = window.starts(&inputs);
+        let signals = window.signals(&inputs, &starts);
+        Ok((Observations { signals, starts, forces, parts: pick(parts, parts.len(), &used) }, whole))
     };
-    let (known, parts) = with_force(&sets[0], &train)?;
-    let (sums, signals, starts) = seen(&known.signals);
-    let known = Observations {
-        signals: &signals,
-        sums: &sums,
-        starts: &starts,
-        forces: &known.targets,
-        parts: &parts,
-    };
+    let (known, _) = observe(&sets[0], &train)?;
     let labeller = trial.problem.labeller();
-    let networks = trial.problem.tasks.window.map(|_| (trial.problem.seed, trial.pool));
+    let networks = trial.problem.tasks.window.map(|_| (&window, trial.problem.seed, trial.pool));
     let fits = Fits::new(&known, instants, &labeller, networks);
     let decoder = Decoder::whole(instants, channels);
     let fitted = decoder.fit(trial.problem.seed, &sets[0], Some(scales.channels.clone()), trial.pool)?;
     let estimates = |test: &Samples| {
-        let (test, parts) = with_force(test, &holdout)?;
-        let (sums, signals, starts) = seen(&test.signals);
-        let own = Observations {
-            signals: &signals,
-            sums: &sums,
-            starts: &starts,
-            forces: &test.targets,
-            parts: &parts,
-        };
-        Ok(tasks(&fits, &own, &fitted.predict(&test.signals)))
+        let (test, whole) = observe(test, &holdout)?;
+        Ok(tasks(&fits, &test, &fitted.predict(&whole)))
     };
     let mut found = estimates(&sets[2])?;
     let casts: Vec<Result<Vec<TaskEstimate>, Trouble>> = casts.map(|cast| estimates(&cast?)).collect();
@@ -187,10 +173,10 @@ pub(crate) fn task_estimates(
 /// Estimates of the forces and all tasks on test samples, whose forces (N, T, K) (N) a linear decoder estimates as `decoded`.
 fn tasks(fits: &Fits, test: &Observations, decoded: &[f64]) -> Vec<TaskEstimate> {
     let labeller = fits.labeller;
-    let mut found = vec![of_forces(test.forces, decoded, labeller, test.parts.len())];
-    let struck = test.labels(labeller, Task::Panel, test.forces);
+    let mut found = vec![of_forces(&test.forces, decoded, labeller, test.parts.len())];
+    let struck = test.labels(labeller, Task::Panel, &test.forces);
     let truths: Vec<Labels> =
-        fits.known.iter().map(|(task, _)| test.labels(labeller, *task, test.forces)).collect();
+        fits.known.iter().map(|(task, _)| test.labels(labeller, *task, &test.forces)).collect();
     let from_signals = fits.estimates(test, &truths);
     for (((task, known), truth), read) in fits.known.iter().zip(&truths).zip(from_signals) {
         let task = *task;

@@ -129,11 +129,10 @@ fn loss(weights: &[f64], x: &DMatrix<f64>, y: &DMatrix<f64>, is_class: bool) -> 
     let value = match is_class {
         true => {
             let mut sum = 0.0;
-            for (mut row, y) in delta.row_iter_mut().zip(y.row_iter()) {
-                let most = row.max();
-                row.apply(|o| *o = (*o - most).exp());
-                row /= row.sum();
+            for (i, y) in y.row_iter().enumerate() {
+                let row = softmax(out.row(i).iter(), 1.0);
                 sum -= row.iter().zip(y.iter()).map(|(p, y)| y * p.max(f64::MIN_POSITIVE).ln()).sum::<f64>();
+                delta.row_mut(i).copy_from_slice(&row);
             }
             delta = (delta - y) / y.nrows() as f64;
             sum / y.nrows() as f64

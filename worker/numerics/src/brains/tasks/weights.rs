@@ -59,8 +59,8 @@ pub struct TaskReadouts {
     pub scales: Vec<f64>,
     /// Signals (n, T, channels) of the held-out samples with force (mm/s², rad/s).
     pub signals: Vec<f64>,
-    /// First instants of their windows.
-    pub starts: Vec<usize>,
+    /// First instants of their windows; `None` without contact.
+    pub contacts: Vec<Option<usize>>,
     /// Their sums in the windows (n, blocks, channels).
     pub sums: Vec<f64>,
     /// Their labels per task.
@@ -91,7 +91,7 @@ pub(crate) fn task_readouts(trial: &Trial, sets: &[Samples; 3]) -> Result<TaskRe
         block: window.block(),
         scales,
         sums: window.sums(&window.signals(&signals, &starts)),
-        starts,
+        contacts: window.contacts(&trial.scales.inputs(&signals)).collect(),
         signals,
         labels: tasks.into_iter().map(|(_, labels)| labels).collect(),
     })

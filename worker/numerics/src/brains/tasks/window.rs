@@ -9,8 +9,8 @@ use crate::trial::Trial;
 /// Least reading of a contact, relative to the channel's scale, and in standard deviations of the reading's error.
 const CONTACT: [f64; 2] = [0.1, 5.0];
 
-/// Greatest number of blocks of instants, of whose sums a device needs one weight per channel. In the authors' scene, 25 blocks of 40 ms have the errors of a
-/// weight per instant; with 17, errors of impulses double.
+/// Greatest number of blocks of instants, of whose sums a device needs one weight per channel. In the authors' scene, 25 blocks of
+/// 40 ms have the errors of a weight per instant; with 17, errors of impulses double.
 const BLOCKS: usize = 25;
 
 /// A window of each record of `instants` instants.
@@ -38,12 +38,17 @@ impl Window {
         Self { len, thresholds, instants }
     }
 
-    /// Its first instant in each record of signals (N, T, channels), divided by their scales; 0 without contact.
-    pub(super) fn starts(&self, signals: &[f64]) -> Vec<usize> {
+    /// The instant of contact in each record of signals (N, T, channels), divided by their scales.
+    pub(super) fn contacts(&self, signals: &[f64]) -> impl Iterator<Item = Option<usize>> {
         let channels = self.thresholds.len();
         let is_contact = |reading: &[f64]| reading.iter().zip(&self.thresholds).any(|(x, t)| x.abs() > *t);
-        let start = |record: &[f64]| record.chunks_exact(channels).position(is_contact).unwrap_or(0);
-        signals.chunks_exact(self.instants * channels).map(start).collect()
+        let records = signals.chunks_exact(self.instants * channels);
+        records.map(move |record| record.chunks_exact(channels).position(is_contact))
+    }
+
+    /// Its first instant in each record, as for [`Window::contacts`]; 0 without contact.
+    pub(super) fn starts(&self, signals: &[f64]) -> Vec<usize> {
+        self.contacts(signals).map(Option::unwrap_or_default).collect()
     }
 
     /// Signals (N, len, channels) from these instants on; 0 after the end of a record.

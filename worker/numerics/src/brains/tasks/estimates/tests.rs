@@ -45,22 +45,16 @@ fn made_up(noise: f64) -> (Vec<f64>, Vec<f64>) {
 
 /// 50 training and 30 test samples.
 fn read_from(signals: &[f64], forces: &[f64], decoded: impl Fn(&[f64]) -> Vec<f64>) -> Vec<TaskEstimate> {
-    let [signals, forces] = [signals, forces].map(|values| values.split_at(values.len() / 80 * 50));
-    let known = Observations {
-        signals: signals.0,
-        sums: signals.0,
-        starts: &[0; 50],
-        forces: forces.0,
-        parts: &[0; 50],
+    let observed = |samples: std::ops::Range<usize>| {
+        let of = |values: &[f64]| {
+            let one = values.len() / 80;
+            values[samples.start * one..samples.end * one].to_vec()
+        };
+        let none = vec![0; samples.len()];
+        Observations { signals: of(signals), starts: none.clone(), forces: of(forces), parts: none }
     };
-    let test = Observations {
-        signals: signals.1,
-        sums: signals.1,
-        starts: &[0; 30],
-        forces: forces.1,
-        parts: &[0; 30],
-    };
-    tasks(&Fits::new(&known, INSTANTS, &labeller(), None), &test, &decoded(forces.1))
+    let (known, test) = (observed(0..50), observed(50..80));
+    tasks(&Fits::new(&known, INSTANTS, &labeller(), None), &test, &decoded(&test.forces))
 }
 
 fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> Vec<TaskEstimate> {
