@@ -4,6 +4,7 @@
 //! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: by cross-validation (`ridge`)
 //! ```
 
+use super::crossed::CrossValidation;
 use super::ridge;
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::Pool;
@@ -16,10 +17,9 @@ use crate::trial::{
 const UNKNOWNS_MAX: usize = 9600;
 /// Bodies whose batches a learner is fitted to, including the current one.
 const BODIES: usize = 5;
-/// Relative weight of each older body, since the body has changed. A greater one pulls the body back to older ones: their decoder
-/// decodes them best (results/README.md, "An optimiser that converges").
+/// Relative weight of each older body, since the body has changed.
 const FADING: f64 = 0.4;
-/// First step at which λ is chosen again.
+/// First step at which λ is chosen again, in `paper` and `random`.
 const FIRST_CHOICE: u32 = 10;
 
 impl Decoder {
@@ -83,23 +83,30 @@ impl ScaledSamples {
         mean_error(&self.errors(predicted))
     }
 
+    /// Weights of the samples in their mean error: 1/n for the n samples that have an error.
+    pub(super) fn equal_weights(&self) -> Vec<f64> {
+        let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
+        vec![(total as f64).recip(); self.w.len()]
+    }
+
     /// 2w (ŷ − y)/n for the n samples that have an error: derivative of the mean error (as a fraction) in the estimates.
     pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
-        let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
-        self.residual_over(total, predicted)
+        self.weighted_residual(&self.equal_weights(), predicted)
     }
 
     /// As `residual`, with n the number of samples with a force, over which a fit averages.
     fn fitted_residual(&self, predicted: &[f64]) -> Vec<f64> {
-        self.residual_over(self.w.iter().filter(|w| **w > 0.0).count(), predicted)
+        let total = self.w.iter().filter(|w| **w > 0.0).count() as f64;
+        self.weighted_residual(&vec![total.recip(); self.w.len()], predicted)
     }
 
-    fn residual_over(&self, total: usize, predicted: &[f64]) -> Vec<f64> {
-        let total = total as f64;
+    /// 2vw (ŷ − y): derivative of Σ v e in the estimates, with e the error of a sample (as a fraction) and v its weight.
+    pub(super) fn weighted_residual(&self, weights: &[f64], predicted: &[f64]) -> Vec<f64> {
         let one = self.sizes.instants * self.sizes.outputs;
         let mut residual = Vec::with_capacity(predicted.len());
-        for ((p, y), w) in predicted.chunks_exact(one).zip(self.y.chunks_exact(one)).zip(&self.w) {
-            residual.extend(p.iter().zip(y).map(|(p, y)| 2.0 * w / total * (p - y)));
+        let samples = predicted.chunks_exact(one).zip(self.y.chunks_exact(one));
+        for ((p, y), (w, v)) in samples.zip(self.w.iter().zip(weights)) {
+            residual.extend(p.iter().zip(y).map(|(p, y)| 2.0 * w * v * (p - y)));
         }
         residual
     }
@@ -162,6 +169,8 @@ pub(super) struct LinearLearner<'a> {
     linear: Option<(Linear, Option<linear::Fit>)>,
     /// Memory for the moments of a step.
     moments: Option<Moments>,
+    /// The newest body's samples, decoded without them.
+    crossed: Option<CrossValidation>,
 }
 
 /// Whether λ is chosen again at this step: at 10, 20, 40, 80, …, since bodies change most at first.
@@ -171,7 +180,7 @@ fn is_due(step: u32) -> bool {
 
 impl<'a> LinearLearner<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
-        Self { trial, linear: None, moments: None }
+        Self { trial, linear: None, moments: None, crossed: None }
     }
 
     fn plain(&self, samples: &Samples) -> ScaledSamples {
@@ -207,31 +216,26 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
-    /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones. When due, λ becomes the one of the
-    /// least error in a cross-validation of this fit, in which errors have these weights, too.
-    fn solve_recent(
-        &mut self,
-        bodies: &[&Samples],
-        step: u32,
-        learnt: &mut DecoderState,
-    ) -> Result<Linear, Trouble> {
-        let (trial, seed) = (self.trial, self.trial.problem.seed);
+    /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones; cross-validates the fit on the newest
+    /// body, whose mean error is returned. λ moves along the gradient of this error.
+    fn fit_recent(&mut self, bodies: &[&Samples], learnt: &mut DecoderState) -> Result<Option<f64>, Trouble> {
+        let (trial, problem) = (self.trial, &self.trial.problem);
+        let newest = self.plain(bodies.last().expect("the newest"));
         let mut all = self.plain(&Samples::joined(bodies));
-        let (mut faded, mut folds) = (Vec::new(), Vec::new());
-        for (body, age) in bodies.iter().zip((0..bodies.len() as i32).rev()) {
-            faded.extend(std::iter::repeat_n(FADING.powi(age), body.count()));
-            folds.extend(ridge::assign_folds(seed, body.count()));
-        }
-        all.w.iter_mut().zip(&faded).for_each(|(w, by)| *w *= by);
+        let ages = bodies.iter().zip((0..bodies.len() as i32).rev());
+        let faded = ages.flat_map(|(body, age)| std::iter::repeat_n(FADING.powi(age), body.count()));
+        all.w.iter_mut().zip(faded).for_each(|(w, by)| *w *= by);
         let moments = self.moments.get_or_insert_with(|| Moments::new(all.sizes, trial.pool));
         moments.clear();
         moments.add(&all.x, &all.y, &all.w);
-        let normal = moments.normal(trial.problem.decoder.lags);
-        self.first_ridge(learnt)?;
-        if is_due(step) && trial.problem.decoder.ridge == Ridge::Auto {
-            learnt.ridge = ridge::ridge_of_weighted(&all, &normal, &folds, &faded).ok().or(learnt.ridge);
+        let (normal, ridge) = (moments.normal(problem.decoder.lags), self.first_ridge(learnt)?);
+        let folds = ridge::assign_folds(problem.seed, newest.w.len());
+        let crossed = CrossValidation::new(newest, &normal, &folds, ridge)?;
+        if problem.decoder.ridge == Ridge::Auto {
+            learnt.ridge = Some(crossed.next_ridge());
         }
-        Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())
+        self.linear = Some((solve(normal, ridge)?.linear(), None));
+        Ok(mean_error(&self.crossed.insert(crossed).errors()))
     }
 }
 
@@ -251,11 +255,8 @@ impl Learner for LinearLearner<'_> {
         learnt: &mut DecoderState,
         _: &mut Counters,
     ) -> Result<FitResult, Trouble> {
-        let judged = match on {
-            FitOn::Recent(bodies) => {
-                self.linear = Some((self.solve_recent(bodies, step, learnt)?, None));
-                self.plain(bodies.last().expect("the newest"))
-            }
+        let error = match on {
+            FitOn::Recent(bodies) => self.fit_recent(bodies, learnt)?,
             FitOn::Optimum(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
                 let train = self.plain(train);
                 let all = train.moments().normal(self.trial.problem.decoder.lags);
@@ -265,12 +266,29 @@ impl Learner for LinearLearner<'_> {
                 };
                 let fit = solve(all, ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
-                train
+                train.error(&self.linear().predict(&train.x))
             }
         };
-        let error = judged.error(&self.linear().predict(&judged.x));
         // Without an error, the loss is NaN.
         Ok(FitResult { loss: error.map_or(f64::NAN, |error| 0.01 * error), error })
+    }
+
+    fn casts_vjp(&mut self, casts: &[&Samples], weigh: &dyn Fn(&[Option<f64>]) -> Vec<f64>) -> Vec<Vec<f64>> {
+        let crossed = self.crossed.take().expect("it has been fitted");
+        let (mut errors, mut losses, mut known) = (&crossed.errors()[..], Vec::new(), Vec::new());
+        for cast in casts {
+            let (own, others) = errors.split_at(cast.count());
+            losses.push(mean_error(own));
+            known.push(own.iter().flatten().count().max(1) as f64);
+            errors = others;
+        }
+        let by_cast = weigh(&losses).into_iter().zip(known).zip(casts);
+        let weights = by_cast.flat_map(|((by, known), cast)| std::iter::repeat_n(by / known, cast.count()));
+        let cotangent = self.trial.scales.inputs_vjp(&crossed.vjp(&weights.collect::<Vec<_>>()));
+        let mut rest = &cotangent[..];
+        let mut of_cast =
+            |cast: &&Samples| rest.split_off(..cast.signals.len()).expect("its signals").to_vec();
+        casts.iter().map(&mut of_cast).collect()
     }
 
     fn loss_vjp(&mut self, samples: &Samples, _: Loss) -> (Option<f64>, Vec<f64>) {
@@ -302,7 +320,12 @@ impl Learner for LinearLearner<'_> {
 /// Cotangent on the training inputs through the fitted weights; z is the solution of H z = ∂L_test/∂W.
 ///
 /// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero when x changes: dL = −⟨z, d(∂L_train/∂W)⟩.
-fn through_weights(samples: &ScaledSamples, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
+pub(super) fn through_weights(
+    samples: &ScaledSamples,
+    linear: &Linear,
+    said: &[f64],
+    z: &Linear,
+) -> Vec<f64> {
     let residual = samples.fitted_residual(said);
     // Estimates with the weights z.
     let answers = z.predict(&samples.x);

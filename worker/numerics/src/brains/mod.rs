@@ -5,6 +5,7 @@
 //! the functions `new_decoder` and `learner`.
 
 mod bands;
+mod crossed;
 mod fitted;
 mod implicit;
 mod inverse;
@@ -197,7 +198,7 @@ pub(crate) enum FitOn<'a> {
 pub(crate) struct FitResult {
     /// Training loss (normalised).
     pub(crate) loss: f64,
-    /// Error on the training samples, for `Recent` on the newest body (%), if known.
+    /// Error on the training samples (%), if known; for `Recent` on the newest body, of a linear decoder without the decoded fold.
     pub(crate) error: Option<f64>,
 }
 
@@ -245,6 +246,17 @@ pub(crate) trait Learner {
 
     /// Loss at fixed weights, if defined, and its cotangent on the signals (N, T, 3M).
     fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>);
+
+    /// Σ weight · loss over the casts of the newest body, of which `weigh` gives the weights from the losses: its cotangents on
+    /// their signals, at fixed weights unless the loss is cross-validated.
+    fn casts_vjp(&mut self, casts: &[&Samples], weigh: &dyn Fn(&[Option<f64>]) -> Vec<f64>) -> Vec<Vec<f64>> {
+        let (losses, mut cotangents): (Vec<_>, Vec<_>) =
+            casts.iter().map(|cast| self.loss_vjp(cast, Loss::Training)).unzip();
+        for (cotangent, by) in cotangents.iter_mut().zip(weigh(&losses)) {
+            cotangent.iter_mut().for_each(|x: &mut f64| *x *= by);
+        }
+        cotangents
+    }
 
     /// Cotangent of the test loss on the training signals (N, T, 3M) through the fitted weights; for a network also the outcome
     /// of its linear system.

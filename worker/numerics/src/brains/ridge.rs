@@ -29,10 +29,9 @@ const WORSE: f64 = 2.0;
 /// Largest excess over the least mean error, relative to it: with few samples; with more.
 const EXCESS: [f64; 2] = [0.2, 0.05];
 
-/// Test samples of a fold, their weights in a mean error, and the normal equations of the others.
+/// Test samples of a fold, and the normal equations of the others.
 pub(super) struct FoldSplit {
     pub(super) judges: ScaledSamples,
-    pub(super) weights: Vec<f64>,
     pub(super) others: Normal,
 }
 
@@ -59,32 +58,9 @@ pub(super) fn ridge_of(samples: &ScaledSamples, all: &Normal, dealt: &[usize]) -
     one_se_choice(&errors_by_value(ridges(), count >= FEW, parts, FoldSplit::errors_of_others))
 }
 
-/// λ of the least mean error of these samples, whose errors have these weights in the mean.
-///
-/// # Errors
-/// If no λ gives a solution.
-pub(super) fn ridge_of_weighted(
-    samples: &ScaledSamples,
-    all: &Normal,
-    dealt: &[usize],
-    weights: &[f64],
-) -> Result<f64, Trouble> {
-    let mut by_fold = Vec::with_capacity(weights.len());
-    let parts = split_folds(samples, all, dealt).enumerate().map(|(part, split)| {
-        let own = weights.iter().zip(dealt).filter(|(_, fold)| **fold == part);
-        let weights: Vec<f64> = own.map(|(weight, _)| *weight).collect();
-        by_fold.extend(&weights);
-        FoldSplit { weights, ..split }
-    });
-    let judged = errors_by_value(ridges(), true, parts, FoldSplit::errors_of_others);
-    least_by(&judged, |errors| weighted_mean(&by_fold, errors))
-}
-
-/// Mean of the errors that exist; 0 without one.
-fn weighted_mean(weights: &[f64], errors: &[Option<f64>]) -> f64 {
-    let own = weights.iter().zip(errors).filter_map(|(weight, error)| Some((*weight, (*error)?)));
-    let (sum, total) = own.fold((0.0, 0.0), |(sum, total), (w, e)| (sum + w * e, total + w));
-    if total > 0.0 { sum / total } else { 0.0 }
+/// The nearest λ within the grid.
+pub(super) fn within_grid(ridge: f64) -> f64 {
+    ridge.clamp(10_f64.powi(-RIDGES.end()), 10_f64.powi(-RIDGES.start()))
 }
 
 /// Fold of each sample.
@@ -105,7 +81,7 @@ pub(super) fn split_folds(
         let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
         let test = samples.select(&own);
         let others = all.clone().plus(-1.0, &test.moments().normal(all.lags()));
-        FoldSplit { weights: vec![1.0; own.len()], judges: test, others }
+        FoldSplit { judges: test, others }
     })
 }
 
@@ -132,14 +108,14 @@ pub(super) fn errors_by_value(
                 return false;
             }
             let Some(errors) = errors(&part, *value) else { return false };
-            let mean = weighted_mean(&part.weights, &errors);
+            let mean = mean_error(&errors).unwrap_or_default();
             stale_values = if mean < 0.99 * min_error { 0 } else { stale_values + 1 };
             min_error = min_error.min(mean);
             errors_so_far.extend(errors);
             true
         });
         if prefilter && parts.peek().is_some() {
-            judged.retain(|(_, errors)| weighted_mean(&part.weights, errors) <= WORSE * min_error);
+            judged.retain(|(_, errors)| mean_error(errors).unwrap_or_default() <= WORSE * min_error);
             judged.truncate(CANDIDATES);
         }
     }
@@ -151,13 +127,7 @@ pub(super) fn errors_by_value(
 /// # Errors
 /// If there is no value.
 pub(super) fn least(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> {
-    least_by(judged, |errors| mean_error(errors).unwrap_or(f64::INFINITY))
-}
-
-fn least_by(
-    judged: &[(f64, Vec<Option<f64>>)],
-    mean: impl Fn(&[Option<f64>]) -> f64,
-) -> Result<f64, Trouble> {
+    let mean = |errors: &[Option<f64>]| mean_error(errors).unwrap_or(f64::INFINITY);
     let best = judged.iter().min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)));
     best.map(|best| best.0).ok_or(Trouble::Singular)
 }

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! paper     fresh β*(A_train)         dL_test/dα, direct and through β*
-//! joint     β continues, fresh f      dL_train/dα at fixed β, on samples drawn for this step
+//! joint     β continues, fresh f      dL_train/dα at fixed β, on samples drawn for this step; with a linear
+//!                                     decoder that of its cross-validated error, through β
 //! random                              no gradient: the test error of a candidate
 //! ```
 //! `joint` never uses a sample of a step again, which prevents over-fitting.
@@ -129,20 +130,23 @@ impl<'a> Session<'a> {
         let fitted = self.fit(FitOn::Recent(&bodies), state, log);
         self.recent = recent;
         let loss_train = fitted?;
-        let mut found = Vec::with_capacity(newest.len());
-        for cast in &newest {
-            let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
-            let measure = match self.trial.problem.optimise.casting {
-                None | Some(CastObjective { tail: 1.0, over: ObjectiveDomain::Casts, .. }) => {
-                    Some(loss_train)
-                }
-                // equal weights need no ranking
-                Some(CastObjective { tail: 1.0, .. }) => self.learner.error(&cast.samples),
-                Some(_) => loss.or_else(|| self.learner.error(&cast.samples)),
-            };
-            found.push((measure, loss, cotangent));
-        }
-        let (_, gradient) = self.over_casts(&newest, found, going, log)?;
+        let casting = self.trial.problem.optimise.casting;
+        let first = match casting {
+            Some(casting) => self.initial_losses(casting, going, log)?[1].clone(),
+            None => Vec::new(),
+        };
+        let weigh = |losses: &[Option<f64>]| match casting {
+            Some(casting) => {
+                // a cast without a loss counts as the worst
+                let losses: Vec<f64> = losses.iter().map(|loss| loss.unwrap_or(f64::INFINITY)).collect();
+                casting.objective(&losses, &first).1
+            }
+            None => vec![1.0],
+        };
+        let casts: Vec<&Samples> = newest.iter().map(|cast| &cast.samples).collect();
+        let cotangents = log.timed(|s| &mut s.differentiate, |_| self.learner.casts_vjp(&casts, &weigh));
+        let gradients = self.vjps(&newest, &cotangents, log)?;
+        let gradient = weighted_sum(&vec![1.0; gradients.len()], &gradients)?;
         let error_test = self.evaluate_test_set(state, log)?;
         Ok(StepResult { gradient, loss_train, error_test })
     }
@@ -155,13 +159,14 @@ impl<'a> Session<'a> {
         log: &mut Log,
     ) -> Result<StepResult, Trouble> {
         let newest = self.simulate_fresh(&state.design, state.step, going, self.moves(state.step), log)?;
+        let casting = self.trial.problem.optimise.casting.expect("a decoder per cast needs casts");
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
             let error = self.learn(FitOn::Cast(&cast.samples), state, log)?;
             let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
-            found.push((Some(error), loss, cotangent));
+            found.push((error, loss, cotangent));
         }
-        let (loss_train, gradient) = self.over_casts(&newest, found, going, log)?;
+        let (loss_train, gradient) = self.over_casts(casting, &newest, found, going, log)?;
         // over all casts; `learn` reported single casts
         (log.report.loss_train, log.report.error_train) = (Some(loss_train), Some(100.0 * loss_train));
         state.check_trend(loss_train)?;
@@ -169,39 +174,28 @@ impl<'a> Session<'a> {
         Ok(StepResult { gradient, loss_train, error_test })
     }
 
-    /// Objective of a step's casts and its gradient in α. `found` has, per cast, the measure that the objective ranks, the
-    /// differentiated loss if it is another one, and its cotangent. A cast without a measure counts as the worst.
+    /// Objective of a step's casts and its gradient in α. `found` has, per cast, the error that the objective ranks, the
+    /// differentiated loss if it is another one, and its cotangent.
     fn over_casts(
         &mut self,
+        casting: CastObjective,
         casts: &[Response],
-        found: Vec<(Option<f64>, Option<f64>, Vec<f64>)>,
+        found: Vec<(f64, Option<f64>, Vec<f64>)>,
         settings: StepTraining,
         log: &mut Log,
     ) -> Result<(f64, Vec<f64>), Trouble> {
         let losses: Vec<Option<f64>> = found.iter().map(|(_, loss, _)| *loss).collect();
-        let (measures, cotangents): (Vec<_>, Vec<_>) =
-            found.into_iter().map(|(measure, _, cotangent)| (measure, cotangent)).unzip();
+        let (errors, cotangents): (Vec<_>, Vec<_>) =
+            found.into_iter().map(|(error, _, cotangent)| (error, cotangent)).unzip();
         let gradients = self.vjps(casts, &cotangents, log)?;
-        let measures: Vec<f64> = measures.into_iter().map(|of| of.unwrap_or(f64::INFINITY)).collect();
-        let Some(casting) = self.trial.problem.optimise.casting else {
-            return Ok((measures[0], gradients.into_iter().next().unwrap_or_default()));
-        };
         let [_, first] = self.initial_losses(casting, settings, log)?;
-        let (objective, mut weights) = casting.objective(&measures, first);
+        let (objective, mut weights) = casting.objective(&errors, first);
         if casting.over == ObjectiveDomain::Parts {
             // d ln L = dL/L with the differentiated loss L
-            let by_loss = weights.iter_mut().zip(&measures).zip(&losses);
-            by_loss.for_each(|((by, measure), loss)| *by *= loss.map_or(1.0, |loss| measure / loss));
+            let by_loss = weights.iter_mut().zip(&errors).zip(&losses);
+            by_loss.for_each(|((by, error), loss)| *by *= loss.map_or(1.0, |loss| error / loss));
         }
-        let mut gradient = vec![0.0; gradients[0].len()];
-        for (by, of_cast) in weights.iter().zip(&gradients) {
-            gradient.iter_mut().zip(of_cast).for_each(|(sum, g)| *sum += by * g);
-        }
-        // happens if samples have no force, and thus no error
-        if gradient.iter().any(|g| !g.is_finite()) {
-            return Err(Trouble::GradientNonFinite);
-        }
-        Ok((objective, gradient))
+        Ok((objective, weighted_sum(&weights, &gradients)?))
     }
 
     /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
@@ -289,8 +283,8 @@ impl<'a> Session<'a> {
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
         (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
         log.report.ridge = learnt.ridge;
-        // losses at different λ are not comparable
-        if learnt.ridge != ridge {
+        // losses at different λ are not comparable, unless they are cross-validated
+        if learnt.ridge != ridge && !matches!(on, FitOn::Recent(_)) {
             *trend = None;
         }
         Ok(learned.loss)
@@ -431,6 +425,18 @@ impl<'a> Session<'a> {
         }
         Ok(responses)
     }
+}
+
+/// Σ weight · gradient.
+///
+/// # Errors
+/// If it is not finite: samples without force have no error.
+fn weighted_sum(weights: &[f64], gradients: &[Vec<f64>]) -> Result<Vec<f64>, Trouble> {
+    let mut sum = vec![0.0; gradients[0].len()];
+    for (by, gradient) in weights.iter().zip(gradients) {
+        sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += by * g);
+    }
+    if sum.iter().all(|g| g.is_finite()) { Ok(sum) } else { Err(Trouble::GradientNonFinite) }
 }
 
 /// The samples of all casts, joined.

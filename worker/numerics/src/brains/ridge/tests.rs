@@ -88,21 +88,3 @@ fn noise_asks_for_regularisation() {
         }
     }
 }
-
-/// The mean error has the given weights: samples of half the force prefer a λ that shrinks the estimates.
-#[test]
-fn errors_are_weighted() {
-    let pool = Pool::new(1).unwrap();
-    let lags = crate::brain::linear::Lags { before: 0, after: 0 };
-    let mut all = samples(40, 0.01, &pool);
-    all.y[20 * 12..].iter_mut().for_each(|y| *y *= 0.5);
-    all.w[20..].iter_mut().for_each(|w| *w *= 1e-6);
-    let (normal, dealt) = (all.moments().normal(lags), assign_folds(3, 40));
-    let of = |weights: [f64; 2]| {
-        let weights: Vec<f64> = (0..40).map(|i| weights[i / 20]).collect();
-        ridge_of_weighted(&all, &normal, &dealt, &weights).unwrap()
-    };
-    let (first, last) = (of([1.0, 0.0]), of([0.0, 1.0]));
-    assert!(first < 1e-2 && last >= 0.1, "{first} {last}");
-    assert_eq!(of([1.0, 1e-9]), first);
-}

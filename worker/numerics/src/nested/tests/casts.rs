@@ -4,6 +4,7 @@ use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
 use crate::brain::linear::Lags;
+use crate::brains::ridge::assign_folds;
 use crate::brains::{
     FitOn, Fitted, Loss, NetworkTraining, ScaledSamples, learner, new_decoder, predict_on, solve,
 };
@@ -84,11 +85,12 @@ fn mixed(casting: CastObjective) -> Problem {
     problem
 }
 
-/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations: for one decoder, for one per cast and for the worst cast; over
+/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations: for one decoder, cross-validated, for one per cast and for the worst cast; over
 /// parts of a mixture for the logarithms.
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
-    let castings = [MEAN, EACH, WORST, CastObjective { tail: 0.5, ..EACH }, PARTS];
+    let tail = |casting| CastObjective { tail: 0.5, ..casting };
+    let castings = [MEAN, tail(MEAN), EACH, WORST, tail(EACH), PARTS];
     let squares = castings.map(|of| if of.over == ObjectiveDomain::Parts { mixed(of) } else { cast(of) });
     // a disc of triangles and a sheet of hexagons
     let others = on_lattices(&cast(EACH)).into_iter().skip(1).take(2).map(|(_, problem)| problem);
@@ -135,7 +137,22 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                 0.01 * set.error(&linear.predict(&set.x)).unwrap() + ridge * squares
             };
             if casting.reader == DecoderSharing::One {
-                return least(&plain(&Samples::joined(&sets.iter().collect::<Vec<_>>())));
+                // of each fold, by a decoder that was fitted without it
+                let all = plain(&Samples::joined(&sets.iter().collect::<Vec<_>>()));
+                let (folds, mut errors) = (assign_folds(problem.seed, all.w.len()), vec![0.0; all.w.len()]);
+                for fold in 0..5 {
+                    let (own, others): (Vec<_>, Vec<_>) = (0..folds.len()).partition(|i| folds[*i] == fold);
+                    let moments = all.select(&others).moments();
+                    let linear = solve(moments.normal(problem.decoder.lags), ridge).unwrap().linear();
+                    let test = all.select(&own);
+                    let found = test.errors(&linear.predict(&test.x));
+                    own.iter().zip(found).for_each(|(i, error)| errors[*i] = 0.01 * error.unwrap());
+                }
+                let each: Vec<f64> = errors
+                    .chunks_exact(GOING.batch)
+                    .map(|own| own.iter().sum::<f64>() / own.len() as f64)
+                    .collect();
+                return casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum();
             }
             let each: Vec<f64> = sets.iter().map(|set| least(&plain(set))).collect();
             match casting.over {
