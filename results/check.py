@@ -902,10 +902,11 @@ def warm_starts():
 
 
 def memory():
-    for scene, *cells in table("memory"):
-        old, new = ({row["seed"]: float(row["error"]) for row in rows("memory.csv", scene=scene, weight=weight)} for weight in ("0.8", "0.4"))
-        means = [short(geometric(errors.values())) + " %" for errors in (old, new)]
-        yield cells, [str(len(old)), *means, with_interval([new[seed] / old[seed] for seed in old])]
+    for change, scene, *cells in table("memory"):
+        old, new = ({row["seed"]: float(row["error"]) for row in rows("memory.csv", scene=scene, rule=rule)} for rule in change.split(" → "))
+        both = [seed for seed in new if seed in old]
+        means = [short(geometric([errors[seed] for seed in both])) + " %" for errors in (old, new)]
+        yield cells, [str(len(both)), *means, with_interval([new[seed] / old[seed] for seed in both])]
 
 
 LATTICES = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}

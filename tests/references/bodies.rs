@@ -8,6 +8,7 @@ use metasense_lab::replay::drawing;
 
 use super::rows::{Row, geometric, number, of, only_row, ratio, rows, seeds, short, with_interval};
 use super::table;
+use std::collections::BTreeMap;
 
 /// Measures of the information in the signals of initial and trained bodies, geometric means over seeds.
 pub fn why() -> String {
@@ -207,21 +208,30 @@ pub fn warm_starts() -> String {
     table(&head, begun.map(line))
 }
 
-/// Errors of bodies trained with two weights of older bodies in the decoder's fit.
+/// Errors of bodies trained by successive rules of `joint` with a linear decoder.
 pub fn memory() -> String {
     let all = rows("memory.csv");
-    let line = |scene: String| {
-        let kinds = ["0.8", "0.4"].map(|weight| -> Vec<f64> {
-            let wanted = [("scene", scene.as_str()), ("weight", weight)];
-            of(&all, &wanted).map(|row| number(row, "error")).collect()
+    let line = |(rules, scene): ([&str; 2], String)| {
+        let [old, new] = rules.map(|rule| -> BTreeMap<String, f64> {
+            let wanted = [("scene", scene.as_str()), ("rule", rule)];
+            of(&all, &wanted).map(|row| (row["seed"].clone(), number(row, "error"))).collect()
         });
-        let logs: Vec<f64> = kinds[0].iter().zip(&kinds[1]).map(|(old, new)| (new / old).ln()).collect();
-        let means = kinds.map(|errors| geometric(errors.iter().copied()) + " %");
-        [vec![scene, logs.len().to_string()], means.into(), vec![with_interval(&logs, f64::exp)]].concat()
+        let pairs: Vec<[f64; 2]> =
+            new.iter().filter_map(|(seed, new)| Some([*old.get(seed)?, *new])).collect();
+        let means = [0, 1].map(|i| geometric(pairs.iter().map(|pair| pair[i])) + " %");
+        let logs: Vec<f64> = pairs.iter().map(|[old, new]| (new / old).ln()).collect();
+        let change = vec![rules.join(" → "), scene, logs.len().to_string()];
+        (!logs.is_empty()).then(|| [change, means.into(), vec![with_interval(&logs, f64::exp)]].concat())
     };
-    let mut scenes: Vec<String> = all.iter().map(|row| row["scene"].clone()).collect();
-    scenes.dedup();
-    table(&["scene", "seeds", "weight 0.8", "0.4", "ratio"], scenes.into_iter().map(line))
+    let mut scenes: Vec<String> = Vec::new();
+    for row in &all {
+        if !scenes.contains(&row["scene"]) {
+            scenes.push(row["scene"].clone());
+        }
+    }
+    let changes = [["weight 0.8", "weight 0.4"], ["weight 0.4", "cross-validated"]];
+    let lines = changes.iter().flat_map(|rules| scenes.iter().map(|scene| (*rules, scene.clone())));
+    table(&["change", "scene", "seeds", "before", "after", "ratio"], lines.filter_map(line))
 }
 
 const LATTICES: [(&str, &str); 4] = [

@@ -322,8 +322,9 @@ pub struct Optimise {
     pub learning_rate: Option<f64>,
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     pub gradient: Option<GradientTerms>,
-    /// Samples per step for the gradient of the design, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
-    /// `"joint"`, for a `brain.task` other than `"forces"` 128, over casts 8, with `reader = "each"` 24.
+    /// Samples per step for the gradient of the design, at most 1 000 000, with a linear decoder at least 2; with an objective over
+    /// casts, per cast. Default: 32 for `"joint"`, for a `brain.task` other than `"forces"` 128, over casts 8, with
+    /// `reader = "each"` 24.
     pub batch: Option<usize>,
     /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
     pub brain_iterations: Option<usize>,

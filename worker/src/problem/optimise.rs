@@ -37,7 +37,9 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         brain_iterations: resolved.brain_iterations.unwrap_or(1),
         brain_rate: resolved.brain_learning_rate.unwrap_or(1.0),
     };
-    within("optimise.batch", going.batch, 1, SAMPLES_MAX)?;
+    // cross-validation fits a linear decoder to a part of them
+    let least = if optimise.linear() && protocol == spec::Protocol::Joint { 2 } else { 1 };
+    within("optimise.batch", going.batch, least, SAMPLES_MAX)?;
     within("optimise.brain_iterations", going.brain_iterations, 1, ITERATIONS_MAX)?;
     positive("optimise.brain_learning_rate", going.brain_rate)?;
     Ok(match protocol {

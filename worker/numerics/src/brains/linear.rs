@@ -4,7 +4,7 @@
 //! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: by cross-validation (`ridge`)
 //! ```
 
-use super::crossed::CrossValidation;
+use super::crossed::{self, CrossValidation};
 use super::ridge;
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::Pool;
@@ -83,15 +83,10 @@ impl ScaledSamples {
         mean_error(&self.errors(predicted))
     }
 
-    /// Weights of the samples in their mean error: 1/n for the n samples that have an error.
-    pub(super) fn equal_weights(&self) -> Vec<f64> {
-        let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
-        vec![(total as f64).recip(); self.w.len()]
-    }
-
     /// 2w (ŷ − y)/n for the n samples that have an error: derivative of the mean error (as a fraction) in the estimates.
     pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
-        self.weighted_residual(&self.equal_weights(), predicted)
+        let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
+        self.weighted_residual(&vec![(total as f64).recip(); self.w.len()], predicted)
     }
 
     /// As `residual`, with n the number of samples with a force, over which a fit averages.
@@ -216,10 +211,11 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
-    /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones; cross-validates the fit on the newest
-    /// body, whose mean error is returned. λ moves along the gradient of this error.
+    /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones, and cross-validates the fit on the
+    /// newest body. λ moves along the gradient of the cross-validated error. Returns the training error on the newest body (%).
     fn fit_recent(&mut self, bodies: &[&Samples], learnt: &mut DecoderState) -> Result<Option<f64>, Trouble> {
         let (trial, problem) = (self.trial, &self.trial.problem);
+        let ridge = self.first_ridge(learnt)?;
         let newest = self.plain(bodies.last().expect("the newest"));
         let mut all = self.plain(&Samples::joined(bodies));
         let ages = bodies.iter().zip((0..bodies.len() as i32).rev());
@@ -228,14 +224,18 @@ impl<'a> LinearLearner<'a> {
         let moments = self.moments.get_or_insert_with(|| Moments::new(all.sizes, trial.pool));
         moments.clear();
         moments.add(&all.x, &all.y, &all.w);
-        let (normal, ridge) = (moments.normal(problem.decoder.lags), self.first_ridge(learnt)?);
-        let folds = ridge::assign_folds(problem.seed, newest.w.len());
-        let crossed = CrossValidation::new(newest, &normal, &folds, ridge)?;
+        let normal = moments.normal(problem.decoder.lags);
+        let unknowns = problem.decoder.lags.groups().len() * all.sizes.channels;
+        let folds = crossed::assign_folds(problem.seed, newest.w.len(), unknowns);
+        let casts = problem.optimise.casting.map_or(1, |casting| casting.casts);
+        let crossed = CrossValidation::new(newest, casts, &normal, &folds, ridge, moments)?;
         if problem.decoder.ridge == Ridge::Auto {
             learnt.ridge = Some(crossed.next_ridge());
         }
-        self.linear = Some((solve(normal, ridge)?.linear(), None));
-        Ok(mean_error(&self.crossed.insert(crossed).errors()))
+        let linear = solve(normal, ridge)?.linear();
+        let error = crossed.samples.error(&linear.predict(&crossed.samples.x));
+        (self.linear, self.crossed) = (Some((linear, None)), Some(crossed));
+        Ok(error)
     }
 }
 
@@ -275,20 +275,9 @@ impl Learner for LinearLearner<'_> {
 
     fn casts_vjp(&mut self, casts: &[&Samples], weigh: &dyn Fn(&[Option<f64>]) -> Vec<f64>) -> Vec<Vec<f64>> {
         let crossed = self.crossed.take().expect("it has been fitted");
-        let (mut errors, mut losses, mut known) = (&crossed.errors()[..], Vec::new(), Vec::new());
-        for cast in casts {
-            let (own, others) = errors.split_at(cast.count());
-            losses.push(mean_error(own));
-            known.push(own.iter().flatten().count().max(1) as f64);
-            errors = others;
-        }
-        let by_cast = weigh(&losses).into_iter().zip(known).zip(casts);
-        let weights = by_cast.flat_map(|((by, known), cast)| std::iter::repeat_n(by / known, cast.count()));
-        let cotangent = self.trial.scales.inputs_vjp(&crossed.vjp(&weights.collect::<Vec<_>>()));
-        let mut rest = &cotangent[..];
-        let mut of_cast =
-            |cast: &&Samples| rest.split_off(..cast.signals.len()).expect("its signals").to_vec();
-        casts.iter().map(&mut of_cast).collect()
+        let signals = crossed.vjp(&weigh(&crossed.error_of_casts()));
+        let cotangent = self.trial.scales.inputs_vjp(&signals);
+        cotangent.chunks_exact(cotangent.len() / casts.len()).map(<[f64]>::to_vec).collect()
     }
 
     fn loss_vjp(&mut self, samples: &Samples, _: Loss) -> (Option<f64>, Vec<f64>) {

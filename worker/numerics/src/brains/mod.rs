@@ -198,7 +198,7 @@ pub(crate) enum FitOn<'a> {
 pub(crate) struct FitResult {
     /// Training loss (normalised).
     pub(crate) loss: f64,
-    /// Error on the training samples (%), if known; for `Recent` on the newest body, of a linear decoder without the decoded fold.
+    /// Error on the training samples, for `Recent` on the newest body (%), if known.
     pub(crate) error: Option<f64>,
 }
 

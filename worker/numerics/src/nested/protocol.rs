@@ -283,7 +283,7 @@ impl<'a> Session<'a> {
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
         (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
         log.report.ridge = learnt.ridge;
-        // losses at different λ are not comparable, unless they are cross-validated
+        // losses at different λ are not comparable; in `Recent`, λ changes little per step
         if learnt.ridge != ridge && !matches!(on, FitOn::Recent(_)) {
             *trend = None;
         }
