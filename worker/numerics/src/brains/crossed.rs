@@ -71,7 +71,7 @@ impl CrossValidation {
             let sensitivity = |cast: usize| {
                 let mut by_cast = vec![0.0; casts];
                 by_cast[cast] = 1.0;
-                let residual = test.weighted_residual(&weights(&samples, &own, &by_cast), &estimates);
+                let residual = test.divided_residual(&divisors(&samples, &own, &by_cast), &estimates);
                 fit.sensitivity(&linear.weights_vjp(&test.x, &residual))
             };
             let sensitivities = (0..casts).map(sensitivity).collect();
@@ -125,7 +125,7 @@ impl CrossValidation {
         };
         for fold in &self.folds {
             let test = samples.select(&fold.own);
-            let residual = test.weighted_residual(&weights(samples, &fold.own, by_cast), &fold.estimates);
+            let residual = test.divided_residual(&divisors(samples, &fold.own, by_cast), &fold.estimates);
             add(&fold.own, &fold.linear.predict_vjp(&residual));
             let others = samples.select(&fold.others);
             let estimates = fold.linear.predict(&others.x);
@@ -148,14 +148,14 @@ impl Fold {
     }
 }
 
-/// v_i of these samples: the weight of the sample's cast, divided by the number of the cast's samples that have an error.
-fn weights(samples: &ScaledSamples, numbers: &[usize], by_cast: &[f64]) -> Vec<f64> {
+/// 1/v_i of these samples: the number of the cast's samples that have an error, divided by the cast's weight.
+fn divisors(samples: &ScaledSamples, numbers: &[usize], by_cast: &[f64]) -> Vec<f64> {
     let each = samples.w.len() / by_cast.len();
     let known = |cast: usize| {
         let own = (cast * each..(cast + 1) * each).filter(|&i| samples.w[i] > 0.0 || samples.failed[i]);
         own.count().max(1) as f64
     };
-    numbers.iter().map(|i| by_cast[i / each] / known(i / each)).collect()
+    numbers.iter().map(|i| known(i / each) / by_cast[i / each]).collect()
 }
 
 #[cfg(test)]

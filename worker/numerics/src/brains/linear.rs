@@ -86,22 +86,22 @@ impl ScaledSamples {
     /// 2w (ŷ − y)/n for the n samples that have an error: derivative of the mean error (as a fraction) in the estimates.
     pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
         let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
-        self.weighted_residual(&vec![(total as f64).recip(); self.w.len()], predicted)
+        self.divided_residual(&vec![total as f64; self.w.len()], predicted)
     }
 
     /// As `residual`, with n the number of samples with a force, over which a fit averages.
     fn fitted_residual(&self, predicted: &[f64]) -> Vec<f64> {
         let total = self.w.iter().filter(|w| **w > 0.0).count() as f64;
-        self.weighted_residual(&vec![total.recip(); self.w.len()], predicted)
+        self.divided_residual(&vec![total; self.w.len()], predicted)
     }
 
-    /// 2vw (ŷ − y): derivative of Σ v e in the estimates, with e the error of a sample (as a fraction) and v its weight.
-    pub(super) fn weighted_residual(&self, weights: &[f64], predicted: &[f64]) -> Vec<f64> {
+    /// 2w (ŷ − y)/d: derivative of Σ e/d in the estimates, with e the error of a sample (as a fraction) and d its divisor.
+    pub(super) fn divided_residual(&self, divisors: &[f64], predicted: &[f64]) -> Vec<f64> {
         let one = self.sizes.instants * self.sizes.outputs;
         let mut residual = Vec::with_capacity(predicted.len());
         let samples = predicted.chunks_exact(one).zip(self.y.chunks_exact(one));
-        for ((p, y), (w, v)) in samples.zip(self.w.iter().zip(weights)) {
-            residual.extend(p.iter().zip(y).map(|(p, y)| 2.0 * w * v * (p - y)));
+        for ((p, y), (w, d)) in samples.zip(self.w.iter().zip(divisors)) {
+            residual.extend(p.iter().zip(y).map(|(p, y)| 2.0 * w / d * (p - y)));
         }
         residual
     }
