@@ -32,6 +32,8 @@ pub(super) struct CrossValidation {
     casts: usize,
     folds: Vec<Fold>,
     ridge: f64,
+    /// Error (%) of each sample.
+    errors: Vec<Option<f64>>,
 }
 
 /// A decoder that was fitted without the samples of a fold.
@@ -60,6 +62,7 @@ impl CrossValidation {
         moments: &mut Moments,
     ) -> Result<Self, Trouble> {
         let count = folds.iter().max().map_or(0, |last| last + 1);
+        let mut errors = vec![None; folds.len()];
         let mut fold = |number: usize| {
             let (own, others): (Vec<usize>, Vec<usize>) = (0..folds.len()).partition(|i| folds[*i] == number);
             let test = samples.select(&own);
@@ -68,6 +71,7 @@ impl CrossValidation {
             let fit = solve(all.clone().plus(-1.0, &moments.normal(all.lags())), ridge)?;
             let linear = fit.linear();
             let estimates = linear.predict(&test.x);
+            own.iter().zip(test.errors(&estimates)).for_each(|(i, error)| errors[*i] = error);
             let sensitivity = |cast: usize| {
                 let mut by_cast = vec![0.0; casts];
                 by_cast[cast] = 1.0;
@@ -78,23 +82,12 @@ impl CrossValidation {
             Ok(Fold { own, others, linear, estimates, sensitivities })
         };
         let folds = (0..count).map(&mut fold).collect::<Result<_, Trouble>>()?;
-        Ok(Self { samples, casts, folds, ridge })
-    }
-
-    /// Error (%) of each sample.
-    pub(super) fn errors(&self) -> Vec<Option<f64>> {
-        let mut errors = vec![None; self.samples.w.len()];
-        for fold in &self.folds {
-            let own = self.samples.select(&fold.own).errors(&fold.estimates);
-            fold.own.iter().zip(own).for_each(|(i, error)| errors[*i] = error);
-        }
-        errors
+        Ok(Self { samples, casts, folds, ridge, errors })
     }
 
     /// Mean error (%) of each cast.
     pub(super) fn error_of_casts(&self) -> Vec<Option<f64>> {
-        let errors = self.errors();
-        errors.chunks_exact(errors.len() / self.casts).map(mean_error).collect()
+        self.errors.chunks_exact(self.errors.len() / self.casts).map(mean_error).collect()
     }
 
     /// λ after a step of −`RIDGE_RATE` d ln L/d ln λ, at most a factor of e; L is the mean error over casts.

@@ -51,7 +51,7 @@ fn mean(samples: &ScaledSamples, ridge: f64) -> f64 {
 #[test]
 fn errors_are_those_of_fits_without_the_fold() {
     let samples = samples();
-    let (found, known) = (crossed(&samples, RIDGE).errors(), refitted(&samples, RIDGE));
+    let (found, known) = (crossed(&samples, RIDGE).errors, refitted(&samples, RIDGE));
     for (found, known) in found.iter().zip(&known) {
         assert_eq!(found.is_some(), known.is_some());
         assert!(found.zip(*known).is_none_or(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?} {known:?}");

@@ -85,8 +85,8 @@ fn mixed(casting: CastObjective) -> Problem {
     problem
 }
 
-/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations: for one decoder, cross-validated, for one per cast and for the worst cast; over
-/// parts of a mixture for the logarithms.
+/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations. L is the objective of one cross-validated decoder, or of one
+/// decoder per cast; over parts of a mixture that of the logarithms.
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
     let tail = |casting| CastObjective { tail: 0.5, ..casting };
