@@ -229,7 +229,12 @@ pub fn memory() -> String {
             scenes.push(row["scene"].clone());
         }
     }
-    let changes = [["weight 0.8", "weight 0.4"], ["weight 0.4", "cross-validated"]];
+    let changes = [
+        ["weight 0.8", "weight 0.4"],
+        ["weight 0.4", "cross-validated"],
+        ["cross-validated", "coarse lags"],
+        ["rate 0.3", "rate 0.5"],
+    ];
     let lines = changes.iter().flat_map(|rules| scenes.iter().map(|scene| (*rules, scene.clone())));
     table(&["change", "scene", "seeds", "before", "after", "ratio"], lines.filter_map(line))
 }

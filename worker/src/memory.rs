@@ -49,6 +49,9 @@ fn of_groups(groups: &[PathBuf]) -> Option<f64> {
 /// An item of memory: the key that multiplies it, the key's value, the content, the size (bytes).
 type Part = (&'static str, usize, &'static str, f64);
 
+/// Normal equations in memory: of five bodies and five folds, their sum, a difference and its factor.
+const MATRICES: f64 = 13.0;
+
 /// The larger of two lists for a trial on a body of `units` units: arrays of its outer steps, or of the final comparison.
 fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
     let (stimuli, evaluation) = (&trial.stimuli, &trial.evaluation);
@@ -87,6 +90,12 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
                 let drawn = f(optimise.casts.unwrap_or(1)) * f(batch);
                 let bytes = forces(drawn) + signals(drawn) + states(drawn);
                 steps.push(("optimise.batch", batch, "samples of a step", bytes));
+                if optimise.linear() {
+                    let channels = trial.sensors.read().len() * sensors;
+                    let groups = lags(&trial.time, trial.brain.memory).training_groups(channels);
+                    let bytes = MATRICES * 8.0 * f(groups.len() * channels).powi(2);
+                    steps.push(("sweep.sensors", trial.point.sensors, "normal equations", bytes));
+                }
             }
             Protocol::Random => {}
         }

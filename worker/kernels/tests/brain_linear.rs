@@ -10,6 +10,8 @@ const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
 /// Long enough for lags with shared weights.
 const LONG: Sizes = Sizes { instants: 50, channels: 2, outputs: 1 };
 const SAMPLES: usize = 7;
+/// Channels for which lags share weights in larger groups while a body is trained.
+const MANY: usize = 2000;
 
 struct Set {
     sizes: Sizes,
@@ -77,9 +79,13 @@ const MEMORIES: [(Sizes, usize, usize); 9] = [
 fn groups_hold_every_lag_once() {
     for (_, before, after) in MEMORIES {
         let lags = Lags { before, after };
-        let all: Vec<usize> = lags.groups().into_iter().flatten().collect();
-        assert!(all.into_iter().eq(0..lags.count()), "{lags:?}");
+        for groups in [lags.groups(), lags.training_groups(MANY)] {
+            assert!(groups.into_iter().flatten().eq(0..lags.count()), "{lags:?}");
+        }
     }
+    let whole = Lags::whole(200);
+    assert_eq!([whole.groups().len(), whole.training_groups(9).len()], [161, 161]);
+    assert_eq!(whole.training_groups(18).len(), 67);
     assert_eq!(Lags { before: 46, after: 41 }.groups().len(), 2 + 81 + 1);
     assert_eq!([0, 40, 41, 42, 47, 80].map(Lags::nearest_group_end), [0, 40, 40, 44, 48, 80]);
 }
@@ -91,31 +97,37 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
     let ridge = 0.05;
     for (sizes, before, after) in MEMORIES {
         let (set, lags) = (set(sizes, 1), Lags { before, after });
-        let linear = Fit::new(moments(&set).normal(lags), ridge, Order::Ascending).unwrap().linear();
-        let least = objective(&set, &linear, ridge);
-        let rises = |change: &dyn Fn(&mut Linear, f64)| {
-            for step in [1e-4, -1e-4] {
-                let mut moved = linear.clone();
-                change(&mut moved, step);
-                let rise = objective(&set, &moved, ridge) - least;
-                assert!(rise > 0.0 && rise < 1e-5, "{sizes:?} {lags:?}: {rise}");
+        for groups in [lags.groups(), lags.training_groups(MANY)] {
+            let normal = moments(&set).normal_of(lags, groups.clone());
+            let linear = Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
+            let least = objective(&set, &linear, ridge);
+            let rises = |change: &dyn Fn(&mut Linear, f64)| {
+                for step in [1e-4, -1e-4] {
+                    let mut moved = linear.clone();
+                    change(&mut moved, step);
+                    let rise = objective(&set, &moved, ridge) - least;
+                    assert!(rise > 0.0 && rise < 1e-5, "{sizes:?} {lags:?}: {rise}");
+                }
+            };
+            for k in 0..sizes.outputs {
+                rises(&|moved, step| moved.b[k] += step);
+                for (group, c) in groups.iter().flat_map(|g| (0..sizes.channels).map(move |c| (g, c))) {
+                    let at = |lag| (k * lags.count() + lag) * sizes.channels + c;
+                    rises(&|moved, step| group.clone().for_each(|lag| moved.w[at(lag)] += step));
+                    assert!(
+                        group.clone().all(|lag| linear.w[at(lag)] == linear.w[at(group.start)]),
+                        "{group:?}"
+                    );
+                }
             }
-        };
-        for k in 0..sizes.outputs {
-            rises(&|moved, step| moved.b[k] += step);
-            for (group, c) in lags.groups().iter().flat_map(|g| (0..sizes.channels).map(move |c| (g, c))) {
-                let at = |lag| (k * lags.count() + lag) * sizes.channels + c;
-                rises(&|moved, step| group.clone().for_each(|lag| moved.w[at(lag)] += step));
-                assert!(group.clone().all(|lag| linear.w[at(lag)] == linear.w[at(group.start)]), "{group:?}");
-            }
+            let said = linear.predict(&set.x);
+            let total = power(&set);
+            let one = sizes.instants * sizes.outputs;
+            let by_prediction: f64 =
+                (0..said.len()).map(|j| set.w[j / one] / total * (said[j] - set.f[j]).powi(2)).sum::<f64>()
+                    + ridge * linear.w.iter().map(|w| w * w).sum::<f64>();
+            assert!((by_prediction / least - 1.0).abs() < 1e-12, "{before} {after}: {by_prediction} {least}");
         }
-        let said = linear.predict(&set.x);
-        let total = power(&set);
-        let one = sizes.instants * sizes.outputs;
-        let by_prediction: f64 =
-            (0..said.len()).map(|j| set.w[j / one] / total * (said[j] - set.f[j]).powi(2)).sum::<f64>()
-                + ridge * linear.w.iter().map(|w| w * w).sum::<f64>();
-        assert!((by_prediction / least - 1.0).abs() < 1e-12, "{before} {after}: {by_prediction} {least}");
     }
 }
 

@@ -29,10 +29,11 @@ const AFRESH: f64 = 100.0;
 /// Hessian-vector products per implicit term.
 const PRODUCTS: f64 = 21.0;
 
-/// Matrix factorisations per body in the final evaluation, including the choice of the ridge, and per step: one per fold of the
-/// cross-validation and one for all samples.
+/// Matrix factorisations per body in the final evaluation, including the choice of the ridge; per step of `joint`: one per fold of
+/// the cross-validation and one for all samples; per step of other protocols: one, and some of the ridge's choices.
 const FACTORS: f64 = 8.0;
-const STEP_FACTORS: f64 = 6.0;
+const JOINT_FACTORS: f64 = 6.0;
+const STEP_FACTORS: f64 = 2.0;
 /// Matrix factorisations per cast.
 const CAST_FACTORS: f64 = 70.0;
 /// Time of inverting the model per sample and panel, and of calibrating the twins of a cast, in simulations.
@@ -152,9 +153,11 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let fresh = batch * coarse * (1.0 + REVERSE) + looks * stimuli.test as f64 * ringing;
     let casts = optimise.casts.map_or(1.0, |casts| FEW * casts as f64);
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
+    let groups = lags(&trial.time, trial.brain.memory).training_groups(trial.signals());
+    let folds = JOINT_FACTORS * factor(trial.signals() * groups.len()) / pace.factor;
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
-        Protocol::Joint if optimise.linear() => casts * (fresh + solve),
+        Protocol::Joint if optimise.linear() => casts * (fresh + folds),
         Protocol::Random if optimise.linear() => simulate + solve,
         Protocol::Random => simulate + AFRESH * ITERATION * forward + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,

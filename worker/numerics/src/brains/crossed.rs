@@ -10,20 +10,28 @@
 
 use super::linear::{ScaledSamples, solve, through_weights};
 use super::ridge;
-use crate::brain::linear::{Linear, Moments, Normal};
-use crate::stimuli::folds;
+use crate::brain::linear::{Lags, Linear, Moments, Normal};
 use crate::trial::{Trouble, mean_error};
 
 /// Step of ln λ per unit of −d ln L/d ln λ: about the inverse of its second derivative near the minimum, measured as 0.1 … 0.2.
 const RIDGE_RATE: f64 = 5.0;
 
-/// Number of folds; with more unknowns than `MANY`, whose factors take most of a step's time.
-const FOLDS: [usize; 2] = [5, 3];
-const MANY: usize = 1500;
-
-/// Fold of each sample for a decoder with this number of unknowns.
-pub(super) fn assign_folds(seed: u64, samples: usize, unknowns: usize) -> Vec<usize> {
-    folds(seed, samples, FOLDS[usize::from(unknowns > MANY)].min(samples))
+/// Normal equations of each fold's samples. `moments` is memory.
+pub(super) fn fold_equations(
+    samples: &ScaledSamples,
+    folds: &[usize],
+    lags: Lags,
+    moments: &mut Moments,
+) -> Vec<Normal> {
+    let groups = lags.training_groups(samples.sizes.channels);
+    let count = folds.iter().max().map_or(0, |last| last + 1);
+    let of_fold = |number: usize| {
+        let own = samples.select(&(0..folds.len()).filter(|i| folds[*i] == number).collect::<Vec<_>>());
+        moments.clear();
+        moments.add(&own.x, &own.y, &own.w);
+        moments.normal_of(lags, groups.clone())
+    };
+    (0..count).map(of_fold).collect()
 }
 
 /// The decoders of all folds of a body's samples, which come from one or more casts.
@@ -38,50 +46,48 @@ pub(super) struct CrossValidation {
 
 /// A decoder that was fitted without the samples of a fold.
 struct Fold {
-    own: Vec<usize>,
-    others: Vec<usize>,
+    /// The samples to which it was fitted; the fold's own have weight 0.
+    others: ScaledSamples,
     linear: Linear,
-    /// Estimates of the fold's own samples.
+    /// Its estimates of all samples of the body.
     estimates: Vec<f64>,
     /// z_f of the mean error of each cast.
     sensitivities: Vec<Linear>,
 }
 
 impl CrossValidation {
-    /// Fits a decoder per fold; `folds` has the fold of each sample, `all` the normal equations of these and of earlier samples.
-    /// Equally many samples of each cast follow each other. `moments` is memory.
+    /// Fits a decoder per fold; `parts` has the normal equations of each fold's samples, `all` those of these and of earlier
+    /// samples. Equally many samples of each cast follow each other.
     ///
     /// # Errors
     /// If a fold's decoder has no solution.
     pub(super) fn new(
         samples: ScaledSamples,
         casts: usize,
-        all: &Normal,
         folds: &[usize],
+        parts: &[Normal],
+        all: &Normal,
         ridge: f64,
-        moments: &mut Moments,
     ) -> Result<Self, Trouble> {
-        let count = folds.iter().max().map_or(0, |last| last + 1);
         let mut errors = vec![None; folds.len()];
-        let mut fold = |number: usize| {
-            let (own, others): (Vec<usize>, Vec<usize>) = (0..folds.len()).partition(|i| folds[*i] == number);
-            let test = samples.select(&own);
-            moments.clear();
-            moments.add(&test.x, &test.y, &test.w);
-            let fit = solve(all.clone().plus(-1.0, &moments.normal(all.lags())), ridge)?;
+        let mut fold = |(number, part): (usize, &Normal)| {
+            let fit = solve(all.clone().plus(-1.0, part), ridge)?;
+            let mut others = samples.clone();
+            others.w.iter_mut().zip(folds).filter(|(_, fold)| **fold == number).for_each(|(w, _)| *w = 0.0);
             let linear = fit.linear();
-            let estimates = linear.predict(&test.x);
-            own.iter().zip(test.errors(&estimates)).for_each(|(i, error)| errors[*i] = error);
-            let sensitivity = |cast: usize| {
+            let estimates = linear.predict(&samples.x);
+            let own = errors.iter_mut().zip(samples.errors(&estimates)).zip(folds);
+            own.filter(|(_, fold)| **fold == number).for_each(|((known, error), _)| *known = error);
+            let mut fold = Fold { others, linear, estimates, sensitivities: Vec::new() };
+            for cast in 0..casts {
                 let mut by_cast = vec![0.0; casts];
                 by_cast[cast] = 1.0;
-                let residual = test.divided_residual(&divisors(&samples, &own, &by_cast), &estimates);
-                fit.sensitivity(&linear.weights_vjp(&test.x, &residual))
-            };
-            let sensitivities = (0..casts).map(sensitivity).collect();
-            Ok(Fold { own, others, linear, estimates, sensitivities })
+                let residual = fold.residual(&samples, &by_cast);
+                fold.sensitivities.push(fit.sensitivity(&fold.linear.weights_vjp(&samples.x, &residual)));
+            }
+            Ok(fold)
         };
-        let folds = (0..count).map(&mut fold).collect::<Result<_, Trouble>>()?;
+        let folds = parts.iter().enumerate().map(&mut fold).collect::<Result<_, Trouble>>()?;
         Ok(Self { samples, casts, folds, ridge, errors })
     }
 
@@ -108,22 +114,11 @@ impl CrossValidation {
 
     /// Derivative in x (N, T, C) of the casts' mean errors (as fractions) with these weights.
     pub(super) fn vjp(&self, by_cast: &[f64]) -> Vec<f64> {
-        let samples = &self.samples;
-        let one = samples.x.len() / samples.w.len();
-        let mut cotangent = vec![0.0; samples.x.len()];
-        let mut add = |numbers: &[usize], values: &[f64]| {
-            for (i, values) in numbers.iter().zip(values.chunks_exact(one)) {
-                cotangent[i * one..][..one].iter_mut().zip(values).for_each(|(sum, x)| *sum += x);
-            }
-        };
+        let mut cotangent = vec![0.0; self.samples.x.len()];
         for fold in &self.folds {
-            let test = samples.select(&fold.own);
-            let residual = test.divided_residual(&divisors(samples, &fold.own, by_cast), &fold.estimates);
-            add(&fold.own, &fold.linear.predict_vjp(&residual));
-            let others = samples.select(&fold.others);
-            let estimates = fold.linear.predict(&others.x);
-            let z = fold.sensitivity(by_cast);
-            add(&fold.others, &through_weights(&others, &fold.linear, &estimates, &z));
+            let (residual, z) = (fold.residual(&self.samples, by_cast), fold.sensitivity(by_cast));
+            let of_fold = through_weights(&fold.others, &fold.linear, &fold.estimates, &z, &residual);
+            cotangent.iter_mut().zip(of_fold).for_each(|(sum, x)| *sum += x);
         }
         cotangent
     }
@@ -139,16 +134,21 @@ impl Fold {
         }
         sum
     }
-}
 
-/// 1/v_i of these samples: the number of the cast's samples that have an error, divided by the cast's weight.
-fn divisors(samples: &ScaledSamples, numbers: &[usize], by_cast: &[f64]) -> Vec<f64> {
-    let each = samples.w.len() / by_cast.len();
-    let known = |cast: usize| {
-        let own = (cast * each..(cast + 1) * each).filter(|&i| samples.w[i] > 0.0 || samples.failed[i]);
-        own.count().max(1) as f64
-    };
-    numbers.iter().map(|i| known(i / each) / by_cast[i / each]).collect()
+    /// Derivative of the casts' mean errors (as fractions) with these weights in the estimates of the fold's own samples.
+    fn residual(&self, samples: &ScaledSamples, by_cast: &[f64]) -> Vec<f64> {
+        let each = samples.w.len() / by_cast.len();
+        let known = |cast: usize| {
+            let own = (cast * each..(cast + 1) * each).filter(|&i| samples.w[i] > 0.0 || samples.failed[i]);
+            own.count().max(1) as f64
+        };
+        let divisor = |(i, w): (usize, &f64)| match *w > 0.0 {
+            true => f64::INFINITY,
+            false => known(i / each) / by_cast[i / each],
+        };
+        let divisors: Vec<f64> = self.others.w.iter().enumerate().map(divisor).collect();
+        samples.divided_residual(&divisors, &self.estimates)
+    }
 }
 
 #[cfg(test)]

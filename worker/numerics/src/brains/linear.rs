@@ -162,8 +162,10 @@ pub(super) struct LinearLearner<'a> {
     trial: &'a Trial<'a>,
     /// Decoder of this step, and its factorisation if the implicit term needs it.
     linear: Option<(Linear, Option<linear::Fit>)>,
-    /// Memory for the moments of a step.
+    /// Memory for moments.
     moments: Option<Moments>,
+    /// Recent bodies' samples, with their normal equations.
+    known: Vec<(Samples, Normal)>,
     /// The newest body's samples, decoded without them.
     crossed: Option<CrossValidation>,
 }
@@ -175,7 +177,7 @@ fn is_due(step: u32) -> bool {
 
 impl<'a> LinearLearner<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
-        Self { trial, linear: None, moments: None, crossed: None }
+        Self { trial, linear: None, moments: None, known: Vec::new(), crossed: None }
     }
 
     fn plain(&self, samples: &Samples) -> ScaledSamples {
@@ -214,29 +216,50 @@ impl<'a> LinearLearner<'a> {
     /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones, and cross-validates the fit on the
     /// newest body. λ moves along the gradient of the cross-validated error. Returns the training error on the newest body (%).
     fn fit_recent(&mut self, bodies: &[&Samples], learnt: &mut DecoderState) -> Result<Option<f64>, Trouble> {
-        let (trial, problem) = (self.trial, &self.trial.problem);
+        let problem = &self.trial.problem;
         let ridge = self.first_ridge(learnt)?;
-        let newest = self.plain(bodies.last().expect("the newest"));
-        let mut all = self.plain(&Samples::joined(bodies));
-        let ages = bodies.iter().zip((0..bodies.len() as i32).rev());
-        let faded = ages.flat_map(|(body, age)| std::iter::repeat_n(FADING.powi(age), body.count()));
-        all.w.iter_mut().zip(faded).for_each(|(w, by)| *w *= by);
-        let moments = self.moments.get_or_insert_with(|| Moments::new(all.sizes, trial.pool));
-        moments.clear();
-        moments.add(&all.x, &all.y, &all.w);
-        let normal = moments.normal(problem.decoder.lags);
-        let unknowns = problem.decoder.lags.groups().len() * all.sizes.channels;
-        let folds = crossed::assign_folds(problem.seed, newest.w.len(), unknowns);
+        let (newest, earlier) = bodies.split_last().expect("the newest");
+        let mut known = std::mem::take(&mut self.known);
+        let mut equations = Vec::with_capacity(bodies.len());
+        for body in earlier {
+            equations.push(match known.iter().position(|(samples, _)| samples == *body) {
+                Some(at) => known.swap_remove(at).1,
+                None => sum(&self.equations(body).2),
+            });
+        }
+        let (samples, folds, parts) = self.equations(newest);
+        let mut all = sum(&parts);
+        equations.push(all.clone());
+        for (normal, age) in equations.iter().rev().zip(0..).skip(1) {
+            all = all.plus(FADING.powi(age), normal);
+        }
+        self.known = bodies.iter().map(|body| (*body).clone()).zip(equations).collect();
+
         let casts = problem.optimise.casting.map_or(1, |casting| casting.casts);
-        let crossed = CrossValidation::new(newest, casts, &normal, &folds, ridge, moments)?;
+        let crossed = CrossValidation::new(samples, casts, &folds, &parts, &all, ridge)?;
         if problem.decoder.ridge == Ridge::Auto {
             learnt.ridge = Some(crossed.next_ridge());
         }
-        let linear = solve(normal, ridge)?.linear();
+        let linear = solve(all, ridge)?.linear();
         let error = crossed.samples.error(&linear.predict(&crossed.samples.x));
         (self.linear, self.crossed) = (Some((linear, None)), Some(crossed));
         Ok(error)
     }
+
+    /// Scaled samples of a body, the fold of each, and the normal equations of each fold.
+    fn equations(&mut self, body: &Samples) -> (ScaledSamples, Vec<usize>, Vec<Normal>) {
+        let (samples, problem) = (self.plain(body), &self.trial.problem);
+        let folds = ridge::assign_folds(problem.seed, samples.w.len());
+        let moments = self.moments.get_or_insert_with(|| Moments::new(samples.sizes, self.trial.pool));
+        let parts = crossed::fold_equations(&samples, &folds, problem.decoder.lags, moments);
+        (samples, folds, parts)
+    }
+}
+
+/// The sum of normal equations.
+fn sum(parts: &[Normal]) -> Normal {
+    let (first, others) = parts.split_first().expect("a fold");
+    others.iter().fold(first.clone(), |sum, part| sum.plus(1.0, part))
 }
 
 impl Learner for LinearLearner<'_> {
@@ -296,7 +319,8 @@ impl Learner for LinearLearner<'_> {
         let (linear, fit) = self.linear.as_ref().expect("it has been fitted");
         let residual = test.residual(&linear.predict(&test.x));
         let z = fit.as_ref().expect("to its optimum").sensitivity(&linear.weights_vjp(&test.x, &residual));
-        let inputs = through_weights(&train, linear, &linear.predict(&train.x), &z);
+        let direct = vec![0.0; train.y.len()];
+        let inputs = through_weights(&train, linear, &linear.predict(&train.x), &z, &direct);
         (self.trial.scales.inputs_vjp(&inputs), None)
     }
 
@@ -306,21 +330,24 @@ impl Learner for LinearLearner<'_> {
     }
 }
 
-/// Cotangent on the training inputs through the fitted weights; z is the solution of H z = ∂L_test/∂W.
+/// Cotangent on the training inputs: of `direct` on their estimates, and through the fitted weights; z is the solution of
+/// H z = ∂L/∂W.
 ///
 /// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero when x changes: dL = −⟨z, d(∂L_train/∂W)⟩.
 pub(super) fn through_weights(
     samples: &ScaledSamples,
     linear: &Linear,
-    said: &[f64],
+    estimates: &[f64],
     z: &Linear,
+    direct: &[f64],
 ) -> Vec<f64> {
-    let residual = samples.fitted_residual(said);
     // Estimates with the weights z.
     let answers = z.predict(&samples.x);
     let zero = ScaledSamples { y: vec![0.0; samples.y.len()], ..samples.clone() };
-    let mut inputs = z.predict_vjp(&residual);
-    let more = linear.predict_vjp(&zero.fitted_residual(&answers));
-    inputs.iter_mut().zip(more).for_each(|(a, b)| *a = -(*a + b));
+    let on_estimates: Vec<f64> =
+        direct.iter().zip(zero.fitted_residual(&answers)).map(|(direct, x)| direct - x).collect();
+    let mut inputs = linear.predict_vjp(&on_estimates);
+    let of_residual = z.predict_vjp(&samples.fitted_residual(estimates));
+    inputs.iter_mut().zip(of_residual).for_each(|(a, b)| *a -= b);
     inputs
 }

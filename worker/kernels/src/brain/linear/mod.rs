@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! f̂_k(n) = b_k + Σ_c Σ_l W_kcl x_c(n + l),  l = −before … after,  x = 0 outside the sample
-//! W_kcl equal for all l of a group: one lag each up to ±SINGLE, SHARED lags each beyond
+//! W_kcl equal for all l of a group: one lag each near 0, several lags each beyond
 //! W, b = argmin Σ_i w_i Σ_kn (f̂ − f)² / Σ_i w_i Σ_kn f² + λ|W|²
 //! w_i = 1/Σ f² of a sample: the loss is then the mean error as a fraction
 //! ```
@@ -41,10 +41,11 @@ pub struct Lags {
     pub after: usize,
 }
 
-/// Lags up to this many instants have a weight each.
-const SINGLE: usize = 40;
-/// Beyond, this many neighbouring lags share a weight (MODEL.md).
-const SHARED: usize = 4;
+/// Numbers of neighbouring lags that share a weight, each up to a distance (MODEL.md).
+const FINE: [(usize, usize); 2] = [(40, 1), (usize::MAX, 4)];
+/// The same while a body is trained, if there would be more than `MANY` unknowns.
+const COARSE: [(usize, usize); 4] = [(8, 1), (24, 2), (56, 4), (usize::MAX, 16)];
+const MANY: usize = 1500;
 
 impl Lags {
     /// All lags in a sample of T instants.
@@ -59,25 +60,41 @@ impl Lags {
 
     /// Groups of lags that share a weight, in ascending order of lags.
     pub fn groups(self) -> Vec<Range<usize>> {
-        let beyond = |reach: usize| {
-            let ends = (SINGLE..reach).step_by(SHARED);
-            ends.map(move |from| from + 1..(from + SHARED).min(reach) + 1)
+        self.grouped(&FINE)
+    }
+
+    /// Groups while a body is trained on this number of channels: fewer than `groups` if these had many unknowns.
+    pub fn training_groups(self, channels: usize) -> Vec<Range<usize>> {
+        let fine = self.groups();
+        if fine.len() * channels > MANY { self.grouped(&COARSE) } else { fine }
+    }
+
+    fn grouped(self, widths: &[(usize, usize)]) -> Vec<Range<usize>> {
+        let side = |reach: usize| {
+            let mut groups = Vec::new();
+            let mut from = 1;
+            for &(to, width) in widths {
+                let to = to.min(reach);
+                while from <= to {
+                    let end = (from + width).min(to + 1);
+                    groups.push(from..end);
+                    from = end;
+                }
+            }
+            groups
         };
         let zero = self.before;
-        let past = beyond(zero).map(|group| zero + 1 - group.end..zero + 1 - group.start);
-        let single = zero - zero.min(SINGLE)..zero + self.after.min(SINGLE) + 1;
-        let future = beyond(self.after).map(|group| zero + group.start..zero + group.end);
-        let mut groups: Vec<_> = past.collect();
-        groups.reverse();
-        groups.extend(single.map(|lag| lag..lag + 1));
-        groups.extend(future);
-        groups
+        let past =
+            side(self.before).into_iter().rev().map(|group| zero + 1 - group.end..zero + 1 - group.start);
+        let future = side(self.after).into_iter().map(|group| zero + group.start..zero + group.end);
+        past.chain([zero..zero + 1]).chain(future).collect()
     }
 
     /// The reach nearest to `reach` at which a group ends. All groups are then also groups of longer memories.
     pub fn nearest_group_end(reach: usize) -> usize {
-        let beyond = reach.saturating_sub(SINGLE);
-        reach.min(SINGLE) + (beyond + SHARED / 2) / SHARED * SHARED
+        let [(single, _), (_, shared)] = FINE;
+        let beyond = reach.saturating_sub(single);
+        reach.min(single) + (beyond + shared / 2) / shared * shared
     }
 
     /// Without the lags that always lie outside a sample of T instants.

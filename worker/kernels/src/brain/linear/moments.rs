@@ -116,10 +116,14 @@ impl Moments {
 
     /// Normal equations of a memory.
     pub fn normal(&self, lags: Lags) -> Normal {
+        self.normal_of(lags, lags.groups())
+    }
+
+    /// Normal equations of a memory with these groups of lags that share a weight, in ascending order.
+    pub fn normal_of(&self, lags: Lags, groups: Vec<Range<usize>>) -> Normal {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, all) = (instants * channels, lags.count() * channels);
         let first = instants - lags.before;
-        let groups = lags.groups();
         let unknowns = groups.len() * channels;
 
         // below the diagonal, a column equals the previous lag's column shifted down by C, except for one instant at
@@ -187,9 +191,9 @@ impl Normal {
     /// Adds `times` times the normal equations of `others`; −1 removes samples that both contain.
     ///
     /// # Panics
-    /// If sizes or memories differ.
+    /// If sizes, memories or groups differ.
     pub fn plus(mut self, times: f64, others: &Self) -> Self {
-        assert_eq!((self.sizes, self.lags), (others.sizes, others.lags));
+        assert_eq!((self.sizes, self.lags, &self.groups), (others.sizes, others.lags, &others.groups));
         accumulate(&mut self.g, &others.g, times);
         accumulate(&mut self.q, &others.q, times);
         accumulate(&mut self.mean, &others.mean, times);

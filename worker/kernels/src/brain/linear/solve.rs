@@ -97,7 +97,7 @@ impl Fit {
 
     /// The decoder of the whole memory.
     pub fn linear(&self) -> Linear {
-        self.with_memory(self.lags)
+        self.leading(self.lags, self.groups.len())
     }
 
     /// The decoder of a memory whose lags come first in this factor's order.
@@ -109,7 +109,12 @@ impl Fit {
         let first = &self.groups[..groups.len()];
         let held = |group: &Range<usize>| first.contains(&(group.start + later..group.end + later));
         assert!(groups.iter().all(held), "{lags:?} do not come first in the memory {:?}", self.lags);
-        let unknowns = groups.len() * self.sizes.channels;
+        self.leading(lags, groups.len())
+    }
+
+    /// The decoder of a memory that consists of the first groups in this factor's order.
+    fn leading(&self, lags: Lags, groups: usize) -> Linear {
+        let unknowns = groups * self.sizes.channels;
         let columns = self.half.chunks_exact(self.unknowns);
         let mut w: Vec<f64> = columns.flat_map(|column| column[..unknowns].iter().copied()).collect();
         self.back(unknowns, &mut w);

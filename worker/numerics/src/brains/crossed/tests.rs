@@ -20,9 +20,9 @@ fn samples() -> ScaledSamples {
 }
 
 fn crossed(samples: &ScaledSamples, ridge: f64) -> CrossValidation {
-    let mut moments = samples.moments();
-    let all = moments.normal(LAGS);
-    CrossValidation::new(samples.clone(), 3, &all, &FOLDS, ridge, &mut moments).unwrap()
+    let parts = fold_equations(samples, &FOLDS, LAGS, &mut samples.moments());
+    let all = samples.moments().normal(LAGS);
+    CrossValidation::new(samples.clone(), 3, &FOLDS, &parts, &all, ridge).unwrap()
 }
 
 /// Errors (%) by explicit fits without each fold.
@@ -103,11 +103,10 @@ fn earlier_samples_count_as_if_they_moved() {
     let own = samples.moments().normal(LAGS);
     let others: Vec<usize> = (4..12).collect();
     let all = own.clone().plus(0.4, &samples.select(&others).moments().normal(LAGS));
-    let mut moments = samples.moments();
+    let parts = fold_equations(&samples, &folds, LAGS, &mut samples.moments());
     let [alone, together] = [&own, &all].map(|all| {
-        CrossValidation::new(samples.clone(), 3, all, &folds, RIDGE, &mut moments)
-            .unwrap()
-            .vjp(&[1.0, 0.0, 0.0])
+        let crossed = CrossValidation::new(samples.clone(), 3, &folds, &parts, all, RIDGE);
+        crossed.unwrap().vjp(&[1.0, 0.0, 0.0])
     });
     let size = alone.iter().map(|g| g.abs()).fold(0.0, f64::max);
     assert!(size > 0.0 && alone.iter().zip(&together).all(|(a, b)| (a - b).abs() < 1e-9 * size), "{size}");
