@@ -87,7 +87,7 @@ impl Lags {
         let past =
             side(self.before).into_iter().rev().map(|group| zero + 1 - group.end..zero + 1 - group.start);
         let future = side(self.after).into_iter().map(|group| zero + group.start..zero + group.end);
-        past.chain([zero..zero + 1]).chain(future).collect()
+        past.chain(std::iter::once(zero..zero + 1)).chain(future).collect()
     }
 
     /// The reach nearest to `reach` at which a group ends. All groups are then also groups of longer memories.
