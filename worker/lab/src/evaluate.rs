@@ -147,8 +147,7 @@ pub fn evaluate(
     networks.sort_by_key(|(number, _)| *number);
     let mut networks = networks.into_iter().map(|(_, network)| network);
     let by_seed: Vec<Vec<Network>> = (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
-    let of = |fold: usize| (0..samples).filter(|i| dealt[*i] == fold).collect::<Vec<usize>>();
-    let members: Vec<Vec<usize>> = (0..folds).map(of).collect();
+    let members = stimuli::members(&dealt);
     let size = records.targets().len() / samples;
     let mut predictions = vec![0.0; records.targets().len()];
     for (network, records) in by_seed.iter().flatten().take(folds).zip(&members) {

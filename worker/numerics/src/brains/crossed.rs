@@ -11,27 +11,26 @@
 use super::linear::{ScaledSamples, solve, through_weights};
 use super::ridge;
 use crate::brain::linear::{Lags, Linear, Moments, Normal};
-use crate::trial::{Trouble, mean_error};
+use crate::trial::{Trouble, mean_error, pick};
 
 /// Step of ln λ per unit of −d ln L/d ln λ: about the inverse of its second derivative near the minimum, measured as 0.1 … 0.2.
 const RIDGE_RATE: f64 = 5.0;
 
-/// Normal equations of each fold's samples. `moments` is memory.
+/// Normal equations of each fold's samples, of which `members` has the numbers. `moments` is memory.
 pub(super) fn fold_equations(
     samples: &ScaledSamples,
-    folds: &[usize],
+    members: &[Vec<usize>],
     lags: Lags,
     moments: &mut Moments,
 ) -> Vec<Normal> {
     let groups = lags.training_groups(samples.sizes.channels);
-    let count = folds.iter().max().map_or(0, |last| last + 1);
-    let of_fold = |number: usize| {
-        let own = samples.select(&(0..folds.len()).filter(|i| folds[*i] == number).collect::<Vec<_>>());
+    let of_fold = |own: &Vec<usize>| {
+        let own = samples.select(own);
         moments.clear();
         moments.add(&own.x, &own.y, &own.w);
         moments.normal_of(lags, groups.clone())
     };
-    (0..count).map(of_fold).collect()
+    members.iter().map(of_fold).collect()
 }
 
 /// The decoders of all folds of a body's samples, which come from one or more casts.
@@ -46,8 +45,8 @@ pub(super) struct CrossValidation {
 
 /// A decoder that was fitted without the samples of a fold.
 struct Fold {
-    /// The samples to which it was fitted; the fold's own have weight 0.
-    others: ScaledSamples,
+    /// Numbers of the fold's samples.
+    own: Vec<usize>,
     linear: Linear,
     /// Its estimates of all samples of the body.
     estimates: Vec<f64>,
@@ -56,38 +55,38 @@ struct Fold {
 }
 
 impl CrossValidation {
-    /// Fits a decoder per fold; `parts` has the normal equations of each fold's samples, `all` those of these and of earlier
-    /// samples. Equally many samples of each cast follow each other.
+    /// Fits a decoder per fold; `members` and `parts` have the numbers and normal equations of each fold's samples, `all` the
+    /// equations of these and of earlier samples. Equally many samples of each cast follow each other.
     ///
     /// # Errors
     /// If a fold's decoder has no solution.
     pub(super) fn new(
         samples: ScaledSamples,
         casts: usize,
-        folds: &[usize],
+        members: Vec<Vec<usize>>,
         parts: &[Normal],
         all: &Normal,
         ridge: f64,
     ) -> Result<Self, Trouble> {
-        let mut errors = vec![None; folds.len()];
-        let mut fold = |(number, part): (usize, &Normal)| {
+        let count = samples.w.len();
+        let mut errors = vec![None; count];
+        let mut fold = |(own, part): (Vec<usize>, &Normal)| {
             let fit = solve(all.clone().plus(-1.0, part), ridge)?;
-            let mut others = samples.clone();
-            others.w.iter_mut().zip(folds).filter(|(_, fold)| **fold == number).for_each(|(w, _)| *w = 0.0);
             let linear = fit.linear();
             let estimates = linear.predict(&samples.x);
-            let own = errors.iter_mut().zip(samples.errors(&estimates)).zip(folds);
-            own.filter(|(_, fold)| **fold == number).for_each(|((known, error), _)| *known = error);
-            let mut fold = Fold { others, linear, estimates, sensitivities: Vec::new() };
+            let of_all = samples.errors(&estimates);
+            own.iter().for_each(|&i| errors[i] = of_all[i]);
+            let own_x = pick(&samples.x, count, &own);
+            let mut fold = Fold { own, linear, estimates, sensitivities: Vec::new() };
             for cast in 0..casts {
                 let mut by_cast = vec![0.0; casts];
                 by_cast[cast] = 1.0;
-                let residual = fold.residual(&samples, &by_cast);
-                fold.sensitivities.push(fit.sensitivity(&fold.linear.weights_vjp(&samples.x, &residual)));
+                let residual = pick(&fold.residual(&samples, &by_cast), count, &fold.own);
+                fold.sensitivities.push(fit.sensitivity(&fold.linear.weights_vjp(&own_x, &residual)));
             }
             Ok(fold)
         };
-        let folds = parts.iter().enumerate().map(&mut fold).collect::<Result<_, Trouble>>()?;
+        let folds = members.into_iter().zip(parts).map(&mut fold).collect::<Result<_, Trouble>>()?;
         Ok(Self { samples, casts, folds, ridge, errors })
     }
 
@@ -117,7 +116,9 @@ impl CrossValidation {
         let mut cotangent = vec![0.0; self.samples.x.len()];
         for fold in &self.folds {
             let (residual, z) = (fold.residual(&self.samples, by_cast), fold.sensitivity(by_cast));
-            let of_fold = through_weights(&fold.others, &fold.linear, &fold.estimates, &z, &residual);
+            let mut others = self.samples.clone();
+            fold.own.iter().for_each(|&i| others.w[i] = 0.0);
+            let of_fold = through_weights(&others, &fold.linear, &fold.estimates, &z, &residual);
             cotangent.iter_mut().zip(of_fold).for_each(|(sum, x)| *sum += x);
         }
         cotangent
@@ -135,18 +136,15 @@ impl Fold {
         sum
     }
 
-    /// Derivative of the casts' mean errors (as fractions) with these weights in the estimates of the fold's own samples.
+    /// Derivative of the casts' mean errors (as fractions) with these weights in the estimates; 0 outside the fold.
     fn residual(&self, samples: &ScaledSamples, by_cast: &[f64]) -> Vec<f64> {
         let each = samples.w.len() / by_cast.len();
         let known = |cast: usize| {
             let own = (cast * each..(cast + 1) * each).filter(|&i| samples.w[i] > 0.0 || samples.failed[i]);
             own.count().max(1) as f64
         };
-        let divisor = |(i, w): (usize, &f64)| match *w > 0.0 {
-            true => f64::INFINITY,
-            false => known(i / each) / by_cast[i / each],
-        };
-        let divisors: Vec<f64> = self.others.w.iter().enumerate().map(divisor).collect();
+        let mut divisors = vec![f64::INFINITY; samples.w.len()];
+        self.own.iter().for_each(|&i| divisors[i] = known(i / each) / by_cast[i / each]);
         samples.divided_residual(&divisors, &self.estimates)
     }
 }

@@ -9,6 +9,7 @@ use super::ridge;
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::Pool;
 use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
+use crate::stimuli::members;
 use crate::trial::{
     Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
 };
@@ -227,7 +228,7 @@ impl<'a> LinearLearner<'a> {
                 None => sum(&self.equations(body).2),
             });
         }
-        let (samples, folds, parts) = self.equations(newest);
+        let (samples, members, parts) = self.equations(newest);
         let mut all = sum(&parts);
         equations.push(all.clone());
         for (normal, age) in equations.iter().rev().zip(0..).skip(1) {
@@ -236,7 +237,7 @@ impl<'a> LinearLearner<'a> {
         self.known = bodies.iter().map(|body| (*body).clone()).zip(equations).collect();
 
         let casts = problem.optimise.casting.map_or(1, |casting| casting.casts);
-        let crossed = CrossValidation::new(samples, casts, &folds, &parts, &all, ridge)?;
+        let crossed = CrossValidation::new(samples, casts, members, &parts, &all, ridge)?;
         if problem.decoder.ridge == Ridge::Auto {
             learnt.ridge = Some(crossed.next_ridge());
         }
@@ -246,13 +247,13 @@ impl<'a> LinearLearner<'a> {
         Ok(error)
     }
 
-    /// Scaled samples of a body, the fold of each, and the normal equations of each fold.
-    fn equations(&mut self, body: &Samples) -> (ScaledSamples, Vec<usize>, Vec<Normal>) {
+    /// Scaled samples of a body, and the numbers and normal equations of each fold's samples.
+    fn equations(&mut self, body: &Samples) -> (ScaledSamples, Vec<Vec<usize>>, Vec<Normal>) {
         let (samples, problem) = (self.plain(body), &self.trial.problem);
-        let folds = ridge::assign_folds(problem.seed, samples.w.len());
+        let members = members(&ridge::assign_folds(problem.seed, samples.w.len()));
         let moments = self.moments.get_or_insert_with(|| Moments::new(samples.sizes, self.trial.pool));
-        let parts = crossed::fold_equations(&samples, &folds, problem.decoder.lags, moments);
-        (samples, folds, parts)
+        let parts = crossed::fold_equations(&samples, &members, problem.decoder.lags, moments);
+        (samples, members, parts)
     }
 }
 

@@ -10,7 +10,7 @@
 
 use super::linear::{ScaledSamples, solve};
 use crate::brain::linear::Normal;
-use crate::stimuli::folds;
+use crate::stimuli::{folds, members};
 use crate::trial::{Trouble, mean_error};
 
 /// Number of folds.
@@ -74,11 +74,10 @@ pub(super) fn split_folds(
     all: &Normal,
     dealt: &[usize],
 ) -> impl Iterator<Item = FoldSplit> {
-    let count = dealt.iter().max().map_or(0, |last| last + 1);
+    let members = members(dealt);
     // With one fold, no samples are left to fit.
-    let numbers = if count > 1 { 0..count } else { 0..0 };
-    numbers.map(move |part| {
-        let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
+    let folds = if members.len() > 1 { members } else { Vec::new() };
+    folds.into_iter().map(move |own| {
         let test = samples.select(&own);
         let others = all.clone().plus(-1.0, &test.moments().normal(all.lags()));
         FoldSplit { judges: test, others }

@@ -8,6 +8,7 @@ use super::ridge::{self, FoldSplit};
 use crate::Pool;
 use crate::brain::linear::{Linear, Sizes};
 use crate::brain::{Data, Shape, Workspace};
+use crate::stimuli::members;
 use crate::trial::{Decoder, Samples, Scales, Trouble};
 
 /// Linear decoders of one body.
@@ -65,8 +66,7 @@ impl Stack {
         let Sizes { instants, outputs, .. } = self.all.sizes;
         let (size, count) = (instants * outputs, self.dealt.len());
         let mut estimates = vec![0.0; count * size];
-        for (fold, part) in self.parts.iter().enumerate() {
-            let own: Vec<usize> = (0..count).filter(|&i| self.dealt[i] == fold).collect();
+        for (own, part) in members(&self.dealt).into_iter().zip(&self.parts) {
             let of_fold = part.predict(&self.known.select(&own).x);
             for (estimate, i) in of_fold.chunks_exact(size).zip(own) {
                 estimates[i * size..][..size].copy_from_slice(estimate);

@@ -8,6 +8,7 @@
 
 use crate::Pool;
 use crate::brain::linear::{Sizes, factor, matrix, matrix_mut};
+use crate::stimuli::members;
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{Accum, Par};
@@ -76,8 +77,7 @@ impl Spectra {
             shares.push(share(b));
         }
         let x = transform(&x, instants, channels, shares.len());
-        let own: Vec<Vec<usize>> =
-            (0..folds).map(|fold| (0..w.len()).filter(|&i| dealt[i] == fold).collect()).collect();
+        let own = members(dealt);
         let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
         for b in 0..shares.len() {
             pool.heartbeat().beat();

@@ -313,5 +313,12 @@ pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
     fold_of
 }
 
+/// Numbers of the records in each fold.
+pub fn members(fold_of: &[usize]) -> Vec<Vec<usize>> {
+    let mut members = vec![Vec::new(); fold_of.iter().max().map_or(0, |last| last + 1)];
+    fold_of.iter().enumerate().for_each(|(record, fold)| members[*fold].push(record));
+    members
+}
+
 #[cfg(test)]
 mod tests;

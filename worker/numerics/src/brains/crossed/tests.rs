@@ -2,6 +2,7 @@ use super::*;
 use crate::Pool;
 use crate::brain::linear::{Lags, Sizes};
 use crate::random::{Purpose, Stream};
+use crate::stimuli::members;
 
 const LAGS: Lags = Lags { before: 2, after: 1 };
 const RIDGE: f64 = 1e-2;
@@ -20,9 +21,9 @@ fn samples() -> ScaledSamples {
 }
 
 fn crossed(samples: &ScaledSamples, ridge: f64) -> CrossValidation {
-    let parts = fold_equations(samples, &FOLDS, LAGS, &mut samples.moments());
+    let parts = fold_equations(samples, &members(&FOLDS), LAGS, &mut samples.moments());
     let all = samples.moments().normal(LAGS);
-    CrossValidation::new(samples.clone(), 3, &FOLDS, &parts, &all, ridge).unwrap()
+    CrossValidation::new(samples.clone(), 3, members(&FOLDS), &parts, &all, ridge).unwrap()
 }
 
 /// Errors (%) by explicit fits without each fold.
@@ -103,9 +104,9 @@ fn earlier_samples_count_as_if_they_moved() {
     let own = samples.moments().normal(LAGS);
     let others: Vec<usize> = (4..12).collect();
     let all = own.clone().plus(0.4, &samples.select(&others).moments().normal(LAGS));
-    let parts = fold_equations(&samples, &folds, LAGS, &mut samples.moments());
+    let parts = fold_equations(&samples, &members(&folds), LAGS, &mut samples.moments());
     let [alone, together] = [&own, &all].map(|all| {
-        let crossed = CrossValidation::new(samples.clone(), 3, &folds, &parts, all, RIDGE);
+        let crossed = CrossValidation::new(samples.clone(), 3, members(&folds), &parts, all, RIDGE);
         crossed.unwrap().vjp(&[1.0, 0.0, 0.0])
     });
     let size = alone.iter().map(|g| g.abs()).fold(0.0, f64::max);
