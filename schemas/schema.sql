@@ -330,7 +330,8 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, n.
 FROM network n JOIN trial t ON t.id = n.trial_id;
 
 -- errors (%) of a linear decoder of one memory (s before and after an instant) on the initial or the trained body, for any
--- decoder of the trial; its λ (`ridge`); median, 90th percentile (%), samples above 100 % and RMS error (%) on the held-out set
+-- decoder of the trial; its λ (`ridge`), which the linear part of a stacked decoder shares; median, 90th percentile (%), samples
+-- above 100 % and RMS error (%) on the held-out set
 CREATE VIEW v_reading AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
@@ -349,8 +350,8 @@ FROM reading r JOIN trial t ON t.id = r.trial_id;
 -- designed: that of the trial's own decoder (mean over its networks) for networks, inverse decoders and linear trials, else
 -- that of the linear decoder of the whole sample; instants_covered and samples_covered: the part of the held-out set within the
 -- bands of the body as designed, or within the bands of an inverse decoder; median and 90th percentile (%) over held-out
--- samples, samples above 100 %, RMS error (%); λ (`ridge`) of linear decoders, and κ (`kappa`) of linear decoders calibrated on
--- samples of this cast
+-- samples, samples above 100 %, RMS error (%); λ (`ridge`) of linear decoders, also beneath stacked
+-- networks, and κ (`kappa`) of linear decoders calibrated on samples of this cast
 CREATE VIEW v_cast AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,

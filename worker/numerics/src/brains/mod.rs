@@ -111,6 +111,11 @@ pub(crate) trait FittedDecoder {
         Vec::new()
     }
 
+    /// λ of the linear decoders beneath a stacked network.
+    fn ridge(&self) -> Option<f64> {
+        None
+    }
+
     /// Weights for signals at other scales; empty for decoders without weights.
     fn weights_at(&self, _: &Scales) -> Vec<f32> {
         Vec::new()

@@ -186,6 +186,10 @@ impl FittedDecoder for NetworkDecoder<'_> {
         Some(&mut self.fresh)
     }
 
+    fn ridge(&self) -> Option<f64> {
+        self.stack.as_ref().map(|stack| stack.ridge)
+    }
+
     fn losses(&self) -> Vec<f32> {
         let turns = turns(self.known.count(), self.recipe.batch).len();
         self.fresh.as_ref().map_or(Vec::new(), |fresh| by_rounds(&fresh.losses, turns))

@@ -22,6 +22,8 @@ pub(crate) struct Stack {
     known: ScaledSamples,
     /// Scales of the linear decoders; the network may have others.
     scales: Scales,
+    /// λ of all of them.
+    pub(crate) ridge: f64,
 }
 
 impl Stack {
@@ -41,7 +43,7 @@ impl Stack {
         let ridge = decoder.ridge_of(seed, &known, &all)?;
         let part = |part: FoldSplit| Ok(solve(part.others, ridge)?.linear());
         let parts = ridge::split_folds(&known, &all, &dealt).map(part).collect::<Result<_, Trouble>>()?;
-        Ok(Self { all: solve(all, ridge)?.linear(), dealt, parts, known, scales })
+        Ok(Self { all: solve(all, ridge)?.linear(), dealt, parts, known, scales, ridge })
     }
 
     /// Network inputs for signals (N, T, 3M) outside the training set.

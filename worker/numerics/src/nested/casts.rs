@@ -334,8 +334,8 @@ impl CastDecoders<'_> {
         signals: &[f64],
     ) -> Result<(Vec<f64>, Regularisation), Trouble> {
         let network = |network: &mut Result<Box<dyn FittedDecoder + '_>, Trouble>| {
-            let said = network.as_mut().map(|network| network.predict(signals));
-            said.map(|said| (said, Regularisation::default())).map_err(|trouble| *trouble)
+            let network = network.as_mut().map_err(|trouble| *trouble)?;
+            Ok((network.predict(signals), Regularisation { ridge: network.ridge(), kappa: None }))
         };
         let linear = |fitted: &Fitted, share| {
             Ok((fitted.predict(signals), Regularisation { ridge: Some(fitted.ridge), kappa: share }))

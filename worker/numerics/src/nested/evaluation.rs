@@ -59,7 +59,7 @@ pub struct CastEvaluation {
     pub error: Option<f64>,
     /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
-    /// λ and κ, for linear decoders.
+    /// λ and κ.
     pub regularisation: Regularisation,
     /// Why evaluation failed; the error is then 100 %.
     pub trouble: Option<Trouble>,
@@ -68,7 +68,7 @@ pub struct CastEvaluation {
 /// Regularisation of a decoder that is applied to casts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Regularisation {
-    /// λ of a linear decoder.
+    /// λ of a linear decoder, also of that beneath a stacked network.
     pub ridge: Option<f64>,
     /// κ of a linear decoder that is calibrated on records of the cast.
     pub kappa: Option<f64>,

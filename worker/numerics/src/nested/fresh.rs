@@ -68,7 +68,7 @@ pub(super) fn evaluate(
                 |s| &mut s.train,
                 |_| {
                     body.readings = readings(trial, sets).unwrap_or_default();
-                    if problem.decoder_kind == BrainKind::Linear
+                    if matches!(problem.decoder_kind, BrainKind::Linear | BrainKind::Stacked)
                         && let Ok(own) = own_reading(trial, sets, &mut body.readings)
                     {
                         recipe.decoder.ridge = Ridge::Given(own.ridge);

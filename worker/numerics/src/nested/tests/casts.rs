@@ -346,26 +346,29 @@ fn the_brain_for_all_casts_can_be_had_again() {
             trial.simulate_cast(cast.as_ref(), design, forces, &solver, false, counters).unwrap().samples
         };
         let holdout = of(problem.holdout());
-        let (by, said) = match brain_for_casts(&trial, design).unwrap() {
-            DecoderForCasts::Linear(fitted) => (CastDecoder::Casts, fitted.predict(&holdout.signals)),
+        let (by, ridge, said) = match brain_for_casts(&trial, design).unwrap() {
+            DecoderForCasts::Linear(fitted) => {
+                (CastDecoder::Casts, Some(fitted.ridge), fitted.predict(&holdout.signals))
+            }
             DecoderForCasts::Network(weights) => {
                 let scales = [(); 2].map(|()| trial.scales.clone());
                 let mut reader = new_decoder(problem.recipe(), &holdout, scales, &pool).unwrap();
                 *reader.training().unwrap() = Some(NetworkTraining::of(weights));
-                (CastDecoder::NetworkCasts, reader.predict(&holdout.signals))
+                (CastDecoder::NetworkCasts, None, reader.predict(&holdout.signals))
             }
             DecoderForCasts::Stacked(linear, weights) => {
                 let (shape, scales) = (problem.reader_shape(), &trial.scales);
                 let said = predict_on(&linear, shape, &weights, &holdout.signals, scales, &pool);
-                (CastDecoder::NetworkCasts, said)
+                (CastDecoder::NetworkCasts, Some(linear.ridge), said)
             }
         };
         let reading = found.casts[1].iter().find(|reading| reading.decoder == by).unwrap();
-        assert_eq!(holdout.error(&said), reading.error, "{by:?}");
+        assert_eq!((holdout.error(&said), ridge), (reading.error, reading.regularisation.ridge), "{by:?}");
         assert_eq!(Spread::of(&holdout.errors(&said)), reading.spread, "{by:?}");
         for reading in &found.casts[1] {
             let regularisation = reading.regularisation;
-            let linear = !matches!(reading.decoder, CastDecoder::Network | CastDecoder::NetworkCasts);
+            let network = matches!(reading.decoder, CastDecoder::Network | CastDecoder::NetworkCasts);
+            let linear = !network || problem.decoder_kind == BrainKind::Stacked;
             assert_eq!(regularisation.ridge.is_some(), linear, "{reading:?}");
             assert_eq!(regularisation.kappa.is_some(), reading.decoder.records().is_some(), "{reading:?}");
         }

@@ -263,6 +263,8 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let stack =
         Stack::new(&problem.decoder, problem.seed, &trial.initial, trial.scales.clone(), &pool).unwrap();
     let known = ScaledSamples::of(&trial.initial, &trial.scales, &pool);
+    let reading = found.initial.readings.iter().find(|reading| reading.lags == problem.decoder.lags);
+    assert_eq!(reading.unwrap().ridge, stack.ridge, "v_reading has its λ");
     let [seen, unseen] =
         [stack.estimates(&trial.initial.signals), stack.cross_fitted()].map(|y| known.error(&y));
     assert!(unseen > seen, "{unseen:?} {seen:?}");
