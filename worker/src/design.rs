@@ -115,7 +115,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         names.each_ref().map(|name| table.column(name).map(|column| table.values(column)));
     let (units, nodes, xs, ys) = (units?, nodes?, xs?, ys?);
     let undisplaced = layout.vertices(&vec![0.0; layout.design_len()]);
-    let mut shifts: Vec<Option<[f64; 2]>> = vec![None; layout.group_count];
+    let mut shifts: Vec<Option<[f64; 2]>> = vec![None; layout.groups.count()];
     for (row, ((unit, node), (x, y))) in units.iter().zip(nodes).zip(xs.iter().zip(ys)).enumerate() {
         let at = |what: &str| format!("{}: {what}", table.place(row));
         let whole = |name: &str, number: f64, count: usize| match number.fract() == 0.0
@@ -129,7 +129,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         let [x0, y0] = undisplaced[unit][node];
         let shift = [x - x0, y - y0];
         // Nodes of rigid units that stay or follow other nodes have no shift.
-        let Some(group) = layout.groups[unit][node] else { continue };
+        let Some(group) = layout.groups.of_nodes[unit][node] else { continue };
         match &shifts[group] {
             Some(group_shift) if (0..2).any(|c| (group_shift[c] - shift[c]).abs() > AGREE) => {
                 return Err(at(
@@ -141,9 +141,9 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         }
     }
     let missing = |g: usize| {
-        let of = |unit: &usize| layout.groups[*unit].contains(&Some(g));
+        let of = |unit: &usize| layout.groups.of_nodes[*unit].contains(&Some(g));
         let unit = (0..layout.units()).find(of).unwrap_or(0);
-        let node = layout.groups[unit].iter().position(|h| *h == Some(g)).unwrap_or(0);
+        let node = layout.groups.of_nodes[unit].iter().position(|h| *h == Some(g)).unwrap_or(0);
         format!("unit {unit}, node {node} is missing")
     };
     let shifts: Result<Vec<[f64; 2]>, String> =

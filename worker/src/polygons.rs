@@ -180,7 +180,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     let together: Vec<Vec<End>> = given.together.iter().map(ends).collect();
     let followers: Vec<(usize, Follower)> = given.follow.iter().map(follower).collect();
     let mut layout = Layout::of_polygons(&given.units, &ligaments, &together, &given.rigid, &followers);
-    if layout.half <= 0.0 {
+    if layout.half() <= 0.0 {
         let remedy = format!(
             "the mean ligament length, {:.3} mm, exceeds the mean distance of units, {:.3} mm",
             layout.ligament_length, layout.spacing

@@ -63,7 +63,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let caption = format!(
         "{} units, {} shifts: {}",
         body.layout.units(),
-        body.layout.group_count,
+        body.layout.groups.count(),
         match violations.is_empty() {
             true if !body.limits.enforced => overlaps(&body.layout, &drawn).to_string(),
             true => "feasible".to_owned(),

@@ -130,9 +130,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         write_figures(folder, &drawn)?;
         write(&folder.join("estimates.csv"), found.csv())?;
         write(&folder.join("index.html"), pictures::html(&title, &shown, &messages, &drawn))?;
-        if !fit.signals[1].is_empty() {
+        if !fit.measured.signals[1].is_empty() {
             let shape = [records, trial.time.samples, trial.signals()];
-            write(&folder.join("signals.npy"), npy_bytes(&shape, &fit.signals[1]))?;
+            write(&folder.join("signals.npy"), npy_bytes(&shape, &fit.measured.signals[1]))?;
         }
     }
     if let Some(file) = &args.out {
@@ -286,12 +286,12 @@ const MISFIT_MIN: f64 = 1.0;
 
 /// Messages about the fit, and the lines for a spec.
 fn fit_messages(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec<String> {
-    let ([start, end], body) = (fit.misfit, &trial.body);
+    let ([start, end], body) = (fit.measured.misfit, &trial.body);
     let mut said = vec![
         format!("{} after {} steps on {records} records", fit.ending.name(), fit.steps),
         format!(
             "misfit relative to the signals' RMS: accelerations {:.2} -> {:.2} % ({:.4} mm/s²), rotation rates {:.2} -> {:.2} % ({:.4} rad/s)",
-            start[0], end[0], fit.residual[0], start[1], end[1], fit.residual[1]
+            start[0], end[0], fit.measured.residual[0], start[1], end[1], fit.measured.residual[1]
         ),
     ];
     if fit.twin.misfit.is_finite() && fit.twin.misfit != 1.0 {

@@ -9,13 +9,20 @@ const GAP: Duration = Duration::from_secs(1);
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Clock {
+    began: Instant,
     looked: Instant,
     counted: Duration,
 }
 
 impl Clock {
     pub fn start() -> Self {
-        Self { looked: Instant::now(), counted: Duration::ZERO }
+        let now = Instant::now();
+        Self { began: now, looked: now, counted: Duration::ZERO }
+    }
+
+    /// Time since the start, with unobserved time.
+    pub fn elapsed(&self) -> Duration {
+        self.began.elapsed()
     }
 
     /// Milliseconds since the start, without unobserved time.

@@ -121,7 +121,7 @@ impl Engine<'_> {
                     if !line.is_empty() {
                         self.details.entry(*lease).or_insert_with(|| line.clone());
                     }
-                    self.pending_log.push((*lease, Level::Warn, line));
+                    self.database.pending_log.push((*lease, Level::Warn, line));
                 }
                 None => self.workers.last_words = line,
             },

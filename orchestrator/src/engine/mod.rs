@@ -17,7 +17,7 @@ use std::borrow::Cow;
 use std::collections::{HashMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
@@ -31,7 +31,7 @@ pub use watch::{Silent, View, Watch};
 
 use begin::Bodies;
 use clock::Clock;
-use database::Files;
+use database::{Database, Files};
 use links::Workers;
 use spent::Ledger;
 use steer::PendingRequest;
@@ -141,12 +141,13 @@ pub async fn run<'a>(
 
     let mut engine = Engine {
         state,
-        view,
-        priors,
-        trials: trials.iter().map(|trial| Cow::Borrowed(*trial)).collect(),
-        work,
+        plan: Plan {
+            trials: trials.iter().map(|trial| Cow::Borrowed(*trial)).collect(),
+            priors,
+            bodies,
+            work,
+        },
         options,
-        began: Instant::now(),
         clock: Clock::start(),
         workers: Workers {
             fleet: Fleet::new(options.program.clone(), heard_out),
@@ -156,16 +157,12 @@ pub async fn run<'a>(
             leases: HashMap::new(),
             last_words: String::new(),
         },
-        queue,
-        bodies,
-        pending_log: Vec::new(),
+        database: Database { queue, rereads, files, error: None, pending_log: Vec::new() },
+        view,
         details: HashMap::new(),
         spent: Ledger::new(),
         stale: 0,
-        files,
-        store_error: None,
         control,
-        rereads,
         watch,
     };
     let running = async move {
@@ -186,9 +183,9 @@ pub async fn run<'a>(
                 break outcome;
             }
         };
-        let Engine { view, state, stale, store_error, workers, watch, .. } = engine;
+        let Engine { view, state, stale, database, workers, watch, .. } = engine;
         watch.end(&view, outcome);
-        match (outcome, store_error) {
+        match (outcome, database.error) {
             (_, Some(error)) => Err(error.into()),
             (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(workers.last_words)),
             _ => Ok(Summary { outcome, stopping: state.is_stopping(), stale, view }),
@@ -210,27 +207,26 @@ impl Payload for Records {
 
 struct Engine<'a> {
     state: State,
-    priors: Vec<Prior>,
-    trials: Vec<Cow<'a, Trial>>,
-    work: &'a dyn Fn(&Trial) -> String,
+    plan: Plan<'a>,
     options: &'a Options,
-    began: Instant,
     clock: Clock,
     workers: Workers,
-    queue: mpsc::Sender<Entry>,
-    bodies: Bodies,
+    database: Database,
     view: View,
-    /// Log lines that the writer does not have yet.
-    pending_log: Vec<(Lease, Level, String)>,
     /// Error messages of attempts that have not ended.
     details: HashMap<Lease, String>,
     spent: Ledger,
     stale: usize,
-    files: Files,
-    store_error: Option<StoreError>,
     control: &'a Control,
-    rereads: mpsc::UnboundedSender<steer::ReloadResult>,
     watch: &'a mut dyn Watch,
+}
+
+/// What is to be done, and what was done before.
+struct Plan<'a> {
+    trials: Vec<Cow<'a, Trial>>,
+    priors: Vec<Prior>,
+    bodies: Bodies,
+    work: &'a dyn Fn(&Trial) -> String,
 }
 
 type Events = VecDeque<Event<Records>>;
@@ -238,7 +234,7 @@ type Events = VecDeque<Event<Records>>;
 impl Engine<'_> {
     /// Whether the writer's queue is less than half full.
     fn has_room(&self) -> bool {
-        self.queue.capacity() > QUEUE / 2
+        self.database.queue.capacity() > QUEUE / 2
     }
 
     /// Passes the events to the scheduler and carries out its actions. Returns the outcome when the run is over.
@@ -265,10 +261,10 @@ impl Engine<'_> {
                 self.workers.leases.insert(worker, lease);
                 self.spent.begin(lease, worker, &self.workers.fleet);
                 self.record(QueuedRecord::Begin(lease)).await;
-                self.view.forecast.assigned(lease.trial, self.began.elapsed());
-                let prior = self.priors[lease.trial as usize];
-                if prior.steps.is_some() || self.bodies.begun.contains(&prior.body) {
-                    let pause = self.trials[lease.trial as usize].pause;
+                self.view.forecast.assigned(lease.trial, self.clock.elapsed());
+                let prior = self.plan.priors[lease.trial as usize];
+                if prior.steps.is_some() || self.plan.bodies.begun.contains(&prior.body) {
+                    let pause = self.plan.trials[lease.trial as usize].pause;
                     self.record(QueuedRecord::Load(worker, lease, pause)).await;
                 } else {
                     self.view.forecast.goes_on(lease.trial, 0, true);
@@ -276,19 +272,19 @@ impl Engine<'_> {
                 }
             }
             Action::RecordStep(lease, (record, checkpoint)) => {
-                let prior = &mut self.priors[lease.trial as usize];
+                let prior = &mut self.plan.priors[lease.trial as usize];
                 prior.steps = Some(checkpoint.step);
-                self.bodies.begun.insert(prior.body);
+                self.plan.bodies.begun.insert(prior.body);
                 self.view.steps += 1;
-                self.view.forecast.stepped(lease.trial, self.began.elapsed());
-                self.watch.step(&self.trials[lease.trial as usize], &record);
+                self.view.forecast.stepped(lease.trial, self.clock.elapsed());
+                self.watch.step(&self.plan.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
                 self.record(QueuedRecord::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, (result, arrays)) => {
                 self.details.remove(&lease);
                 // counts as done once it is on disk
-                self.view.forecast.returned(lease.trial, true, self.began.elapsed());
+                self.view.forecast.returned(lease.trial, true, self.clock.elapsed());
                 self.view.forecast.settled(lease.trial);
                 self.record_spent(lease).await;
                 self.spent.end(lease);
@@ -299,8 +295,8 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
-                let trial = &*self.trials[lease.trial as usize];
-                self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
+                let trial = &*self.plan.trials[lease.trial as usize];
+                self.view.attempt_failed(lease.trial, reason, settled, self.clock.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
                 let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
                 match reason {
@@ -329,8 +325,8 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Failure(lease, reason, settled && reason != Reason::Paused)).await;
             }
             Action::RecordCancelled(lease) => {
-                let trial = &*self.trials[lease.trial as usize];
-                self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.began.elapsed());
+                let trial = &*self.plan.trials[lease.trial as usize];
+                self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.clock.elapsed());
                 tracing::info!(trial.hash, "the trial was cancelled before an attempt");
                 self.record(QueuedRecord::Cancelled(lease)).await;
             }
@@ -365,13 +361,13 @@ impl Engine<'_> {
 
     /// Queues an entry; waits while the queue is full. Does nothing after the store has failed.
     async fn enqueue(&mut self, entry: Entry) {
-        if self.store_error.is_none() {
-            let _ = self.queue.send(entry).await;
+        if self.database.error.is_none() {
+            let _ = self.database.queue.send(entry).await;
         }
     }
 
     async fn record_said(&mut self) {
-        for (lease, level, text) in std::mem::take(&mut self.pending_log) {
+        for (lease, level, text) in std::mem::take(&mut self.database.pending_log) {
             self.record(QueuedRecord::Log(lease, level, text)).await;
         }
         if self.has_room() {
@@ -388,10 +384,10 @@ impl Engine<'_> {
     }
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
-        let trial = &*self.trials[lease.trial as usize];
+        let trial = &*self.plan.trials[lease.trial as usize];
         let job = ToWorker::Job {
             lease,
-            work: (self.work)(trial),
+            work: (self.plan.work)(trial),
             checkpoint: checkpoint.map(Box::new),
             threads: self.options.threads,
             pause: trial.pause,
@@ -453,7 +449,7 @@ impl Engine<'_> {
             ToOrchestrator::Hello { .. } => Event::Up(worker),
             ToOrchestrator::Step(lease, record, checkpoint) => {
                 let steps =
-                    self.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
+                    self.plan.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
                 let trained = checkpoint.step as usize >= steps.max(1);
                 Event::Step(worker, lease, trained, (record, Arc::from(checkpoint)))
             }
@@ -468,14 +464,14 @@ impl Engine<'_> {
                 Event::Finished(worker, lease, (result, arrays))
             }
             ToOrchestrator::Failed(lease, reason, detail) => {
-                let trial = self.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
+                let trial = self.plan.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
                 tracing::error!(trial, lease.attempt, %reason, detail, "the worker reported a failure of the trial");
                 self.details.insert(lease, detail);
                 Event::Failed(worker, lease, reason)
             }
             ToOrchestrator::Stopped(lease) => {
-                let due = self.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
-                let done = self.priors.get(lease.trial as usize).and_then(|prior| prior.steps);
+                let due = self.plan.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
+                let done = self.plan.priors.get(lease.trial as usize).and_then(|prior| prior.steps);
                 let paused = due.zip(done).is_some_and(|(due, done)| done >= due);
                 Event::Failed(worker, lease, if paused { Reason::Paused } else { Reason::Stopped })
             }
@@ -487,21 +483,21 @@ impl Engine<'_> {
             WriterEvent::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
             WriterEvent::Done(lease, result) => {
                 self.view.done += 1;
-                self.watch.done(&self.trials[lease.trial as usize], &result);
+                self.watch.done(&self.plan.trials[lease.trial as usize], &result);
                 events.push_back(Event::Recorded(lease, RecordKind::Result));
             }
             WriterEvent::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
-                    let trial = &*self.trials[lease.trial as usize];
+                    let trial = &*self.plan.trials[lease.trial as usize];
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
                     let text = format!("restarted, because the checkpoint cannot be used: {why}");
-                    self.pending_log.push((lease, Level::Warn, text));
+                    self.database.pending_log.push((lease, Level::Warn, text));
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
                     let step = checkpoint.as_ref().map(|checkpoint| checkpoint.step);
-                    self.priors[lease.trial as usize].steps = step;
+                    self.plan.priors[lease.trial as usize].steps = step;
                     let whole = checkpoint.as_ref().is_none_or(|checkpoint| checkpoint.comparison.is_none());
                     self.view.forecast.goes_on(lease.trial, step.unwrap_or(0), whole);
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
@@ -510,7 +506,7 @@ impl Engine<'_> {
             WriterEvent::Planned(fresh, request) => self.planned(fresh, request, events),
             WriterEvent::Broken(error) => {
                 tracing::error!(%error, "the database failed; the run ends");
-                self.store_error = Some(error);
+                self.database.error = Some(error);
                 events.push_back(Event::StoreBroken);
             }
         }
@@ -531,7 +527,7 @@ impl Engine<'_> {
             sql::hurry();
         }
         self.view.busy = self.state.busy();
-        self.view.elapsed = self.began.elapsed();
+        self.view.elapsed = self.clock.elapsed();
         self.watch.tick(&self.view);
     }
 }

@@ -8,7 +8,7 @@ use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
 /// Figures of a fit to `signals` (N, T, channels).
 pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
-    let followed = (!fit.signals[1].is_empty()).then(|| records(trial, signals, fit));
+    let followed = (!fit.measured.signals[1].is_empty()).then(|| records(trial, signals, fit));
     followed.into_iter().chain([course(fit)]).collect()
 }
 
@@ -28,7 +28,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
     let len = instants * width;
     let count = signals.len() / len;
     let dt = trial.time.duration / instants as f64;
-    let [before, after] = &fit.signals;
+    let [before, after] = &fit.measured.signals;
     let of = |values: &[f64], r: usize, c: usize| -> Vec<f64> {
         (0..instants).map(|n| values[r * len + n * width + c]).collect()
     };
@@ -91,10 +91,10 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             "The records of least, median and greatest misfit of {count}, each with the channel of acceleration and of \
              rotation rate that moves most. Curves for the start values are clipped at the frame. Misfit over all records: {} % of the \
              accelerations' RMS and {} % of the rotation rates'; at the start {} % and {} %.",
-            number(fit.misfit[1][0]),
-            number(fit.misfit[1][1]),
-            number(fit.misfit[0][0]),
-            number(fit.misfit[0][1]),
+            number(fit.measured.misfit[1][0]),
+            number(fit.measured.misfit[1][1]),
+            number(fit.measured.misfit[0][0]),
+            number(fit.measured.misfit[0][1]),
         ),
         vec![
             ("truth", "measured".into()),
@@ -109,18 +109,18 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
 
 /// Misfit and parameters against iterations.
 fn course(fit: &Fit) -> Figure {
-    let steps: Vec<f64> = (1..=fit.iterations.len()).map(|i| i as f64).collect();
+    let steps: Vec<f64> = (1..=fit.measured.iterations.len()).map(|i| i as f64).collect();
     let axis = || Axis::new("iteration", Scale::Linear, [0.0, steps.len() as f64]);
-    let misfits = fit.iterations.iter().flat_map(|i| i.misfit);
+    let misfits = fit.measured.iterations.iter().flat_map(|i| i.misfit);
     let label = "misfit in the window (%)";
     let mut off = Plot::new("Misfit", axis(), Axis::new(label, Scale::Log, misfits)).sized(560.0, 280.0);
     for (kind, class) in [(0, "truth"), (1, "front")] {
-        off.line(class, steps.iter().zip(&fit.iterations).map(|(n, i)| (*n, i.misfit[kind])));
+        off.line(class, steps.iter().zip(&fit.measured.iterations).map(|(n, i)| (*n, i.misfit[kind])));
     }
     let mut pictures = vec![off.picture()];
     let fitted: Vec<_> = fit.estimates.iter().filter_map(|e| e.unknown.parameter()).collect();
     for &parameter in &fitted {
-        let way = fit.iterations.iter().map(|i| i.parameters.array()[parameter as usize]);
+        let way = fit.measured.iterations.iter().map(|i| i.parameters.array()[parameter as usize]);
         let unit =
             if parameter.unit().is_empty() { String::new() } else { format!(" ({})", parameter.unit()) };
         let label = format!("{}{unit}", parameter.name());
@@ -131,7 +131,7 @@ fn course(fit: &Fit) -> Figure {
         plot.line("optimised", steps.iter().copied().zip(way));
         pictures.push(plot.picture());
     }
-    let rows = fit.iterations.iter().enumerate().map(|(n, i)| {
+    let rows = fit.measured.iterations.iter().enumerate().map(|(n, i)| {
         let found = fitted.iter().map(|parameter| i.parameters.array()[*parameter as usize]);
         row![n + 1, i.window, i.misfit[0], i.misfit[1]; found]
     });

@@ -88,20 +88,32 @@ pub struct State {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
-    /// Trials that wait for a worker or for their body, by rank, then in the order of the plan.
-    ready: BTreeSet<(i64, u32)>,
-    /// Trials that wait for a time.
-    delayed: BTreeSet<(Millis, u32)>,
+    waiting: Waiting,
     slots: Vec<Slot>,
     bodies: Bodies,
     unsettled: usize,
     unrecorded: usize,
     deaths: Deaths,
     shortage: Shortage,
-    stopping: Stopping,
-    /// Time of the request to stop.
-    stopping_since: Millis,
+    stop: Stop,
     ended: bool,
+}
+
+/// Trials that wait.
+#[derive(Debug, Clone, Default)]
+struct Waiting {
+    /// For a worker or for their body, by rank, then in the order of the plan.
+    ready: BTreeSet<(i64, u32)>,
+    /// For a time.
+    delayed: BTreeSet<(Millis, u32)>,
+}
+
+/// A request to stop.
+#[derive(Debug, Clone, Copy, Default)]
+struct Stop {
+    stage: Stopping,
+    /// Time of the request.
+    since: Millis,
 }
 
 /// Updates the state and returns the actions. All decisions are made here.
@@ -167,7 +179,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
                 }
             }
         }
-        Event::StoreBroken => state.stopping = Stopping::Broken,
+        Event::StoreBroken => state.stop.stage = Stopping::Broken,
         Event::Interrupt => state.interrupt(),
         Event::Steer(steer, asker) => {
             let answer = state.steer(steer, out);
@@ -198,7 +210,7 @@ impl State {
             if prior.trained {
                 self.bodies.trained(prior.body);
             }
-            self.ready.insert((trial.rank(), number));
+            self.waiting.ready.insert((trial.rank(), number));
             self.trials.push(trial);
         }
         self.unsettled += priors.len();
@@ -206,10 +218,10 @@ impl State {
 
     /// Requests the end of the run: the first request ends it in order, the second at once.
     fn interrupt(&mut self) {
-        let first = self.stopping == Stopping::No;
-        self.stopping = self.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
+        let first = self.stop.stage == Stopping::No;
+        self.stop.stage = self.stop.stage.max(if first { Stopping::Asked } else { Stopping::AtOnce });
         if first {
-            self.stopping_since = self.now;
+            self.stop.since = self.now;
         }
     }
 
@@ -220,7 +232,7 @@ impl State {
 
     /// Whether the run is stopping.
     pub fn is_stopping(&self) -> bool {
-        self.stopping != Stopping::No
+        self.stop.stage != Stopping::No
     }
 
     /// Whether the run is paused.
@@ -235,7 +247,7 @@ impl State {
 
     /// Number of trials that wait for a worker.
     pub fn waiting(&self) -> usize {
-        self.ready.len() + self.delayed.len()
+        self.waiting.ready.len() + self.waiting.delayed.len()
     }
 
     /// Number of workers that have a trial.
@@ -276,7 +288,7 @@ impl State {
     /// Trials that may be assigned, in order: those whose body no other trial is training.
     fn assignable(&self) -> impl Iterator<Item = (i64, u32)> {
         let waits = |number: u32| self.bodies.is_in_training(self.trials[number as usize].body);
-        self.ready.iter().copied().filter(move |(_, number)| !waits(*number))
+        self.waiting.ready.iter().copied().filter(move |(_, number)| !waits(*number))
     }
 
     /// Notes progress of a worker.
@@ -296,7 +308,7 @@ impl State {
     /// Whether trials may be assigned and workers started now.
     fn may_assign(&self) -> bool {
         let waits = self.settings.paused || self.shortage.is_waited_for(self.now);
-        self.stopping == Stopping::No && !waits && self.unfit().is_none()
+        self.stop.stage == Stopping::No && !waits && self.unfit().is_none()
     }
 
     /// Number of workers that may be started; negative if there are too many.
@@ -326,14 +338,14 @@ impl State {
 
     fn clock<P: Payload>(&mut self, now: Millis, out: &mut Vec<Action<P>>) {
         self.now = self.now.max(now);
-        while let Some(&(until, trial)) = self.delayed.first()
+        while let Some(&(until, trial)) = self.waiting.delayed.first()
             && until <= self.now
         {
-            self.delayed.pop_first();
-            self.ready.insert((self.trials[trial as usize].rank(), trial));
+            self.waiting.delayed.pop_first();
+            self.waiting.ready.insert((self.trials[trial as usize].rank(), trial));
         }
         let (now, settings) = (self.now, &self.settings);
-        let waited_out = self.stopping != Stopping::No && now > self.stopping_since + settings.grace;
+        let waited_out = self.stop.stage != Stopping::No && now > self.stop.since + settings.grace;
         for (worker, slot) in with_workers(&mut self.slots) {
             let too_long = |since| settings.time_limit.is_some_and(|limit| now > since + limit);
             let is_silent = |beat| now > beat + settings.no_progress;
@@ -357,7 +369,7 @@ impl State {
     fn lost<P: Payload>(&mut self, worker: WorkerId, reason: Reason, out: &mut Vec<Action<P>>) {
         let now = self.now;
         // whoever kills the run may kill its workers, too
-        let with_the_run = self.stopping != Stopping::No && reason == Reason::WorkerKilled(9);
+        let with_the_run = self.stop.stage != Stopping::No && reason == Reason::WorkerKilled(9);
         let reason = if with_the_run { Reason::Stopped } else { reason };
         let Some(slot) = self.slot(worker) else { return };
         let (lease, why, misfired) = match slot.work {
@@ -388,7 +400,7 @@ impl State {
         let reason = trial.unwanted.filter(|_| back).unwrap_or(reason);
         let [death, shortage] = [death, shortage].map(|is_so| is_so && reason != Reason::Cancelled);
         let by_request =
-            reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && reason != Reason::Cancelled;
+            reason == Reason::Stopped || self.stop.stage >= Stopping::AtOnce && reason != Reason::Cancelled;
         let stepped = std::mem::replace(&mut trial.stepped, false);
         if !by_request {
             if stepped {
@@ -405,7 +417,7 @@ impl State {
         } else {
             trial.phase = Phase::Pending;
             let wait = if deaths == 0 { 0 } else { self.settings.backoff(deaths) };
-            self.delayed.insert((self.now + wait, lease.trial));
+            self.waiting.delayed.insert((self.now + wait, lease.trial));
         }
         if !shortage {
             self.shortage.relieved(self.now, self.settings.retries);
@@ -426,10 +438,10 @@ impl State {
     /// Stops workers: all if the run must end, all that have a trial in a pause, and those of unwanted trials.
     fn stop<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let finished = self.unsettled == 0 || self.unfit().is_some() && self.busy() == 0;
-        let ends = finished || self.stopping != Stopping::No;
+        let ends = finished || self.stop.stage != Stopping::No;
         for (worker, slot) in with_workers(&mut self.slots) {
             match slot.work {
-                SlotState::Busy { lease, .. } if self.stopping >= Stopping::AtOnce => {
+                SlotState::Busy { lease, .. } if self.stop.stage >= Stopping::AtOnce => {
                     slot.work =
                         SlotState::Ending { lease: Some(lease), since: self.now, why: Some(Reason::Stopped) };
                     out.push(Action::Kill(worker));
@@ -471,7 +483,7 @@ impl State {
             with_workers(&mut self.slots).filter(|(_, slot)| may(slot)).map(|(worker, _)| worker).collect();
         for worker in idle.into_iter().take_while(|_| self.unrecorded < UNRECORDED_MAX) {
             let Some((rank, number)) = self.assignable().next() else { return };
-            self.ready.remove(&(rank, number));
+            self.waiting.ready.remove(&(rank, number));
             let trial = &mut self.trials[number as usize];
             trial.attempt += 1;
             trial.phase = Phase::Running(worker);
@@ -489,7 +501,8 @@ impl State {
             return;
         }
         let Some(room) = usize::try_from(self.room()).ok().filter(|room| *room > 0) else { return };
-        let free = self.assignable().take(self.settings.workers as usize).count() + self.delayed.len();
+        let free =
+            self.assignable().take(self.settings.workers as usize).count() + self.waiting.delayed.len();
         let coming = self.slots.iter().filter(|slot| slot.is_free()).count();
         let mut wanted = free.saturating_sub(coming).min(room);
         for (slot, number) in self.slots.iter_mut().zip(0..) {
@@ -511,11 +524,11 @@ impl State {
         let deserted =
             self.slots.iter().all(|slot| matches!(slot.work, SlotState::Empty { .. } | SlotState::GivenUp));
         // A broken store records nothing more, so pending records are not waited for.
-        let recording = self.unrecorded > 0 && self.stopping != Stopping::Broken;
+        let recording = self.unrecorded > 0 && self.stop.stage != Stopping::Broken;
         if !deserted || recording {
             return;
         }
-        let outcome = match (self.stopping, self.unfit()) {
+        let outcome = match (self.stop.stage, self.unfit()) {
             (Stopping::Broken, _) => Outcome::StoreBroken,
             _ if self.unsettled == 0 => Outcome::Complete,
             (Stopping::Asked | Stopping::AtOnce, _) => Outcome::Interrupted,

@@ -79,7 +79,7 @@ impl State {
                 self.add(&priors);
                 SteerAnswer::Added(priors.len())
             }
-            _ if self.stopping != Stopping::No => SteerAnswer::Refused(SteerRefusal::Stopping),
+            _ if self.stop.stage != Stopping::No => SteerAnswer::Refused(SteerRefusal::Stopping),
             Steer::Pause => {
                 self.settings.paused = true;
                 SteerAnswer::Paused(self.busy())
@@ -122,9 +122,9 @@ impl State {
         match self.trials[number as usize].phase {
             Phase::Pending => {
                 self.dequeue(number);
-                let first = self.ready.first().map_or(0, |(rank, _)| *rank).min(0) - 1;
+                let first = self.waiting.ready.first().map_or(0, |(rank, _)| *rank).min(0) - 1;
                 self.trials[number as usize].first = Some(first);
-                self.ready.insert((first, number));
+                self.waiting.ready.insert((first, number));
                 SteerAnswer::Next(self.bodies.is_in_training(self.trials[number as usize].body))
             }
             other => SteerAnswer::Refused(SteerRefusal::of(other)),
@@ -133,8 +133,8 @@ impl State {
 
     /// Removes a pending trial from its queue.
     fn dequeue(&mut self, number: u32) {
-        self.ready.remove(&(self.trials[number as usize].rank(), number));
-        self.delayed.retain(|(_, trial)| *trial != number);
+        self.waiting.ready.remove(&(self.trials[number as usize].rank(), number));
+        self.waiting.delayed.retain(|(_, trial)| *trial != number);
     }
 
     /// Sets the number of workers. Slots that were given up are tried again.

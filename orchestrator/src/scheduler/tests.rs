@@ -279,7 +279,7 @@ impl World {
                 gone.is_some_and(|process| process != Process::Gone)
             }
             // A broken store confirms nothing more.
-            Event::Recorded(..) => self.state.stopping != Stopping::Broken,
+            Event::Recorded(..) => self.state.stop.stage != Stopping::Broken,
             Event::Up(worker) => {
                 let process = self.processes.get_mut(worker).expect("was spawned");
                 let comes_up = *process == Process::Starting;
@@ -467,8 +467,8 @@ impl World {
             }
         }
         for (trial, number) in self.state.trials.iter().zip(0u32..) {
-            let waits = self.state.ready.iter().any(|&(_, t)| t == number)
-                || self.state.delayed.iter().any(|&(_, t)| t == number);
+            let waits = self.state.waiting.ready.iter().any(|&(_, t)| t == number)
+                || self.state.waiting.delayed.iter().any(|&(_, t)| t == number);
             match trial.phase {
                 Phase::Pending => assert!(waits && !held.contains(&number), "trial {number} is lost"),
                 Phase::Running(_) => assert!(!waits && held.contains(&number), "trial {number} is lost"),

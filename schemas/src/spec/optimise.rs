@@ -423,7 +423,7 @@ pub struct Evaluation {
     /// Learning-rate schedule of their training.
     pub schedule: Schedule,
     /// Training samples per iteration (mini-batch). A quarter of all samples costs about a quarter of the time, with the same
-    /// errors (docs/explanation/accuracy.md). Larger values mean all samples. Default: all, as in the paper.
+    /// errors (results/README.md). Larger values mean all samples. Default: all, as in the paper.
     pub batch: Option<usize>,
     /// Iterations of further networks, as many as `seeds`, that are trained longer (10 000 in the paper), at most 10 000 000. In
     /// `v_network` and `v_curve` they follow the others. Default: none.

@@ -89,16 +89,16 @@ fn ligaments_have_their_length_in_every_design() {
             assert!(off < 1e-12 * layout.spacing, "{name}: {off}");
         }
         let exists =
-            |group: &Option<usize>| group.map_or(name == "rigid", |group| group < layout.group_count);
-        assert!(layout.groups.iter().flatten().all(exists), "{name}");
-        assert_eq!(layout.nodes(), layout.groups.iter().map(Vec::len).sum::<usize>());
+            |group: &Option<usize>| group.map_or(name == "rigid", |group| group < layout.groups.count());
+        assert!(layout.groups.of_nodes.iter().flatten().all(exists), "{name}");
+        assert_eq!(layout.nodes(), layout.groups.of_nodes.iter().map(Vec::len).sum::<usize>());
     }
     // nodes declared to shift together do so
     let mixed = mixed(false);
-    assert_eq!(mixed.groups[1][4], mixed.groups[1][5]);
-    assert_eq!(mixed.groups[1][2], mixed.groups[2][3]);
-    assert_eq!(mixed.groups[0][1], mixed.groups[2][3], "two ligaments meet there");
-    assert_eq!(mixed.group_count, 16 - 5 - 1);
+    assert_eq!(mixed.groups.of_nodes[1][4], mixed.groups.of_nodes[1][5]);
+    assert_eq!(mixed.groups.of_nodes[1][2], mixed.groups.of_nodes[2][3]);
+    assert_eq!(mixed.groups.of_nodes[0][1], mixed.groups.of_nodes[2][3], "two ligaments meet there");
+    assert_eq!(mixed.groups.count(), 16 - 5 - 1);
 }
 
 /// Kagome triangles have three neighbours, rotated in the opposite direction; hexagons have six, rotated equally.
@@ -109,7 +109,7 @@ fn units_have_the_neighbours_of_their_lattice() {
     {
         let layout = Layout::sheet(&pattern, 8, 6, 15.0, 2.25);
         assert!(layout.shape.iter().all(|shape| shape.len() == nodes));
-        let inner = layout.boundary.iter().filter(|edge| !**edge).count();
+        let inner = layout.boundary().iter().filter(|edge| !**edge).count();
         let ends =
             |u: usize| layout.ligaments.iter().flat_map(|l| [l.a, l.b]).filter(|end| end.unit == u).count();
         assert_eq!((0..48).filter(|&u| ends(u) == nodes).count(), inner);
@@ -163,7 +163,7 @@ fn discs_are_whole_and_turn_into_themselves() {
                     reached.extend(next);
                 }
             }
-            assert_eq!(layout.group_count, layout.nodes() - layout.ligaments.len(), "{name}, {across}");
+            assert_eq!(layout.groups.count(), layout.nodes() - layout.ligaments.len(), "{name}, {across}");
 
             let odd = across % 2 == 1;
             let (hub, turns) = match name {
@@ -180,7 +180,7 @@ fn discs_are_whole_and_turn_into_themselves() {
             for (unit, [x, y]) in panels.into_iter().flatten() {
                 let [p, q] = layout.centres[unit];
                 assert!(
-                    layout.boundary[unit] && p * x + q * y < -0.8 * radius([p, q]),
+                    layout.boundary()[unit] && p * x + q * y < -0.8 * radius([p, q]),
                     "{name}, {across}: {unit}"
                 );
             }
@@ -193,7 +193,7 @@ fn discs_are_whole_and_turn_into_themselves() {
 #[test]
 fn nodes_of_rigid_units_stay_or_follow() {
     let layout = mixed(true);
-    let free = |unit: usize| layout.groups[unit].iter().map(Option::is_some).collect::<Vec<_>>();
+    let free = |unit: usize| layout.groups.of_nodes[unit].iter().map(Option::is_some).collect::<Vec<_>>();
     assert_eq!((free(0), free(1)), (vec![true; 3], vec![false, true, true, true, false, false]));
     let design = shaken(&layout, 0.5);
     let [before, after] = [vec![0.0; design.len()], design].map(|design| layout.vertices(&design)[1].clone());
@@ -233,13 +233,18 @@ fn squares_from_corners_are_the_planar_body() {
     let ligaments: Vec<[End; 2]> = planar.ligaments.iter().map(|l| [l.a, l.b]).collect();
     let given =
         Layout::of_polygons(&planar.vertices(&vec![0.0; planar.design_len()]), &ligaments, &[], &[], &[]);
-    assert_eq!((planar.group_count, &planar.boundary), (given.group_count, &given.boundary));
+    assert_eq!((planar.groups.count(), &planar.boundary()), (given.groups.count(), &given.boundary()));
     let (area, round) = given.mean_unit();
     assert!((area / planar.mean_unit().0 - 1.0).abs() < 1e-12 && (round - 1.0).abs() < 1e-12);
     let design = shaken(&planar, 0.3);
     let mut same = vec![0.0; design.len()];
-    for (ours, theirs) in
-        planar.groups.iter().flatten().flatten().zip(given.groups.iter().flatten().flatten())
+    for (ours, theirs) in planar
+        .groups
+        .of_nodes
+        .iter()
+        .flatten()
+        .flatten()
+        .zip(given.groups.of_nodes.iter().flatten().flatten())
     {
         same[2 * theirs..][..2].copy_from_slice(&design[2 * ours..][..2]);
     }
@@ -254,8 +259,13 @@ fn squares_from_corners_are_the_planar_body() {
     assert!(norm(&signals) > 0.0 && relative(&others, &signals) < 1e-9);
     let back: Vec<f64> = {
         let mut back = vec![0.0; gradient.len()];
-        for (ours, theirs) in
-            planar.groups.iter().flatten().flatten().zip(given.groups.iter().flatten().flatten())
+        for (ours, theirs) in planar
+            .groups
+            .of_nodes
+            .iter()
+            .flatten()
+            .flatten()
+            .zip(given.groups.of_nodes.iter().flatten().flatten())
         {
             back[2 * ours..][..2].copy_from_slice(&other[2 * theirs..][..2]);
         }

@@ -18,9 +18,9 @@ fn a_toml_of_polygons_is_a_layout() {
     let given = read(&path).unwrap();
     assert_eq!(given.units[0].len() + given.units[1].len(), 7);
     let layout = layout(&given).unwrap();
-    assert_eq!((layout.units(), layout.group_count, layout.ligament_length), (2, 6, 4.0));
+    assert_eq!((layout.units(), layout.groups.count(), layout.ligament_length), (2, 6, 4.0));
     assert_eq!(layout.ligaments[0].reference, [4.0, 0.0]);
-    assert_eq!(layout.groups[0][1], layout.groups[1][0]);
+    assert_eq!(layout.groups.of_nodes[0][1], layout.groups.of_nodes[1][0]);
     let corners = layout.vertices(&vec![0.0; layout.design_len()]);
     for (ours, theirs) in corners.iter().flatten().zip(given.units.iter().flatten()) {
         assert!((ours[0] - theirs[0]).hypot(ours[1] - theirs[1]) < 1e-12);

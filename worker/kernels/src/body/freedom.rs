@@ -25,18 +25,18 @@ impl Freedom {
     /// # Panics
     /// If p or q is 0.
     pub fn new(layout: &Layout, [p, q]: [usize; 2], frozen_units: &[usize]) -> Self {
-        let mut frozen = vec![false; layout.group_count];
-        let groups_of_unit = |unit: &usize| layout.groups[*unit].iter().flatten();
+        let mut frozen = vec![false; layout.groups.count()];
+        let groups_of_unit = |unit: &usize| layout.groups.of_nodes[*unit].iter().flatten();
         frozen_units.iter().flat_map(groups_of_unit).for_each(|&group| frozen[group] = true);
         let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
         // blocks start at the body's lower left corner; with oblique rows it lies left of cell 0
-        let least = |d: usize| layout.group_cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);
+        let least = |d: usize| layout.groups.cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);
         let [left, low] = [least(0), least(1)];
-        let leader = layout.group_cells.iter().enumerate().map(|(group, &(kind, [i, j]))| {
+        let leader = layout.groups.cells.iter().enumerate().map(|(group, &(kind, [i, j]))| {
             let block = (kind, [(i - left) / p as i32, (j - low) / q as i32]);
             if frozen[group] { group } else { *first.entry(block).or_insert(group) }
         });
-        Self { leader: leader.collect(), frozen, length: 2 * layout.group_count }
+        Self { leader: leader.collect(), frozen, length: 2 * layout.groups.count() }
     }
 
     /// All of `length` numbers move, each alone.

@@ -35,30 +35,20 @@ pub struct Layout {
     pub shape: Vec<Vec<[f64; 2]>>,
     /// Global number of the first node of each unit; the last entry is the number of all nodes.
     pub first: Vec<usize>,
-    /// h (mm).
-    pub half: f64,
     /// l₀ (mm) of a ligament that lies on the line between two reference points; in a body from a file the mean length.
     pub ligament_length: f64,
     /// Distance of joined reference points (mm); in a body from a file the mean.
     pub spacing: f64,
     /// Ligaments, ordered by kind, then by cell (j outer, i inner).
     pub ligaments: Vec<Ligament>,
-    /// Node group of each node of each unit. `None`: the node is not part of the design, and is fixed or follows others.
-    pub groups: Vec<Vec<Option<usize>>>,
+    /// Nodes that shift together.
+    pub groups: Groups,
     /// Whether each unit has a given shape, to which the limits of feasibility do not apply.
     pub rigid: Vec<bool>,
     /// Factor on the plane density of each unit.
     pub density: Vec<f64>,
     /// Followers among the nodes of each unit.
     pub followers: Vec<Vec<Follower>>,
-    /// Link and cell of each node group.
-    pub group_cells: Vec<GroupCell>,
-    /// Number of node groups.
-    pub group_count: usize,
-    /// Shift of each group in the initial design per tangent of the angle, in units of h.
-    turning: Vec<[f64; 2]>,
-    /// Whether each unit has a node without a ligament.
-    pub boundary: Vec<bool>,
     /// Whether each unit may carry a sensor: in lattices the interior units.
     pub carriers: Vec<bool>,
 }
@@ -70,11 +60,22 @@ struct Units {
     shape: Vec<Vec<[f64; 2]>>,
 }
 
-/// Node groups of a layout: the group of each node, and the cell and initial shift of each group.
-struct Groups {
-    of_nodes: Vec<Vec<Option<usize>>>,
-    cells: Vec<GroupCell>,
+/// Node groups of a layout. A group shifts as one, by two numbers of α.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Groups {
+    /// Group of each node of each unit. `None`: the node is not part of the design, and is fixed or follows others.
+    pub of_nodes: Vec<Vec<Option<usize>>>,
+    /// Link and cell of each group.
+    pub cells: Vec<GroupCell>,
+    /// Shift of each group in the initial design per tangent of the angle, in units of h.
     turning: Vec<[f64; 2]>,
+}
+
+impl Groups {
+    /// Number of groups.
+    pub fn count(&self) -> usize {
+        self.cells.len()
+    }
 }
 
 impl Layout {
@@ -237,32 +238,24 @@ impl Layout {
         ligaments: &[[End; 2]],
         groups: Groups,
     ) -> Self {
-        let mut boundary = vec![false; centres.len()];
-        let joined: BTreeSet<End> = ligaments.iter().flatten().copied().collect();
-        for (unit, nodes) in shape.iter().enumerate() {
-            boundary[unit] = (0..nodes.len()).any(|node| !joined.contains(&End { unit, node }));
-        }
         let mut first = vec![0];
         shape.iter().for_each(|nodes| first.push(first[first.len() - 1] + nodes.len()));
+        let count = centres.len();
         let mut layout = Self {
             centres,
             grid,
             shape,
             first,
-            half: 0.5 * (spacing - ligament_length),
             ligament_length,
             spacing,
             ligaments: ligaments.iter().map(|&[a, b]| Ligament { a, b, reference: [0.0; 2] }).collect(),
-            group_count: groups.cells.len(),
-            groups: groups.of_nodes,
-            rigid: vec![false; boundary.len()],
-            density: vec![1.0; boundary.len()],
-            followers: vec![Vec::new(); boundary.len()],
-            group_cells: groups.cells,
-            turning: groups.turning,
-            carriers: boundary.iter().map(|edge| !edge).collect(),
-            boundary,
+            groups,
+            rigid: vec![false; count],
+            density: vec![1.0; count],
+            followers: vec![Vec::new(); count],
+            carriers: Vec::new(),
         };
+        layout.carriers = layout.boundary().iter().map(|edge| !edge).collect();
         layout.set_references();
         layout
     }
@@ -271,7 +264,7 @@ impl Layout {
     fn set_references(&mut self) {
         let place = |end: End| {
             let ([x, y], [p, q]) = (self.centres[end.unit], self.shape[end.unit][end.node]);
-            [x + self.half * p, y + self.half * q]
+            [x + self.half() * p, y + self.half() * q]
         };
         let reference = |ligament: &Ligament| {
             let [a, b] = [ligament.a, ligament.b];
@@ -289,8 +282,7 @@ impl Layout {
 
     /// The same layout with another ligament length; the units shrink as the ligaments grow.
     pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
-        let mut resized =
-            Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
+        let mut resized = Self { ligament_length, ..self.clone() };
         resized.set_references();
         resized
     }
@@ -300,22 +292,38 @@ impl Layout {
         self.centres.len()
     }
 
+    /// h (mm): half of the distance of reference points that is not ligament.
+    pub fn half(&self) -> f64 {
+        0.5 * (self.spacing - self.ligament_length)
+    }
+
+    /// Whether each unit has a node without a ligament.
+    pub fn boundary(&self) -> Vec<bool> {
+        let joined: BTreeSet<End> =
+            self.ligaments.iter().flat_map(|ligament| [ligament.a, ligament.b]).collect();
+        let free = |(unit, nodes): (usize, &Vec<[f64; 2]>)| {
+            (0..nodes.len()).any(|node| !joined.contains(&End { unit, node }))
+        };
+        self.shape.iter().enumerate().map(free).collect()
+    }
+
     /// Length of α: two per node group.
     pub fn design_len(&self) -> usize {
-        2 * self.group_count
+        2 * self.groups.count()
     }
 
     /// The design whose units are rotated by ±`angle` (rad) against their neighbours; zeros if the lattice or the file does not allow that.
     pub fn initial_design(&self, angle: f64) -> Vec<f64> {
-        let tangent = self.half * angle.tan();
-        self.turning.iter().flat_map(|turn| turn.map(|t| t * tangent + 0.0)).collect()
+        let tangent = self.half() * angle.tan();
+        self.groups.turning.iter().flat_map(|turn| turn.map(|t| t * tangent + 0.0)).collect()
     }
 
     /// Positions of a unit's nodes relative to its reference point (mm).
     pub fn place(&self, design: &[f64], unit: usize, nodes: &mut [[f64; 2]]) {
-        for ((node, base), group) in nodes.iter_mut().zip(&self.shape[unit]).zip(&self.groups[unit]) {
+        for ((node, base), group) in nodes.iter_mut().zip(&self.shape[unit]).zip(&self.groups.of_nodes[unit])
+        {
             let shift = group.map_or([0.0; 2], |group| [design[2 * group], design[2 * group + 1]]);
-            *node = [self.half * base[0] + shift[0], self.half * base[1] + shift[1]];
+            *node = [self.half() * base[0] + shift[0], self.half() * base[1] + shift[1]];
         }
         let [x, y] = self.centres[unit];
         for follower in &self.followers[unit] {
@@ -329,7 +337,7 @@ impl Layout {
         let ([x, y], Follower { node, of: [a, b], .. }) = (self.centres[unit], *follower);
         [node, a, b].map(|node| {
             let [p, q] = self.shape[unit][node];
-            [x + self.half * p, y + self.half * q]
+            [x + self.half() * p, y + self.half() * q]
         })
     }
 
@@ -350,7 +358,7 @@ impl Layout {
                 bar[node] = [bar[node][0] + x, bar[node][1] + y];
             }
         }
-        for (group, bar) in self.groups[unit].iter().zip(bar) {
+        for (group, bar) in self.groups.of_nodes[unit].iter().zip(bar) {
             let Some(group) = *group else { continue };
             design[2 * group] += bar[0];
             design[2 * group + 1] += bar[1];
@@ -399,7 +407,7 @@ impl Layout {
         }
         let count = self.units() as f64;
         let area = area / count;
-        (area * self.half.powi(2), 0.5 * (polar / count) / area.powi(2))
+        (area * self.half().powi(2), 0.5 * (polar / count) / area.powi(2))
     }
 
     /// The k panels of a sheet, from left to right: k of the topmost units, symmetric about their middle. `None` if the topmost units do
@@ -436,6 +444,7 @@ impl Layout {
         if k == 0 || 8 % k != 0 {
             return None;
         }
+        let boundary = self.boundary();
         let panel = |q: usize| {
             let angle = (q * 8 / k) as f64 * std::f64::consts::FRAC_PI_4;
             let (s, c) = angle.sin_cos();
@@ -445,7 +454,7 @@ impl Layout {
                 let off = (c * y - s * x).atan2(c * x + s * y);
                 ((off.abs() * 1e9).round() as i64, off < 0.0, (-1e6 * x.hypot(y)) as i64)
             };
-            let unit = (0..self.units()).filter(|&u| self.boundary[u]).min_by_key(|&u| key(u))?;
+            let unit = (0..self.units()).filter(|&u| boundary[u]).min_by_key(|&u| key(u))?;
             Some((unit, [-c, -s]))
         };
         let panels: Vec<_> = (0..k).map(panel).collect::<Option<_>>()?;

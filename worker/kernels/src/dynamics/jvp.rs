@@ -151,7 +151,7 @@ impl<'a> DualBody<'a> {
         for u in 0..layout.units() {
             let mut at = vec![[0.0; 2]; layout.shape[u].len()];
             layout.place(design, u, &mut at);
-            let q = layout.groups[u].iter().zip(&at).map(|(group, at)| {
+            let q = layout.groups.of_nodes[u].iter().zip(&at).map(|(group, at)| {
                 let moves = |d: usize| group.map_or(0.0, |group| or_zero(tangent.design, 2 * group + d));
                 [0, 1].map(|d| Dual(at[d], moves(d)))
             });

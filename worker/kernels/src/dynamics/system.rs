@@ -63,6 +63,13 @@ pub struct ForceCotangent<'a, V: Vector> {
     pub mass: &'a mut [Unit<V>],
 }
 
+/// Ligaments in the scalar type of the lanes.
+struct Bars<S> {
+    all: Vec<Bar<S>>,
+    /// Those of driven units.
+    driven: Vec<Bar<S>>,
+}
+
 /// A model with scratch memory, for one vector of samples.
 pub struct System<'a, V: Vector> {
     /// The scene.
@@ -74,9 +81,7 @@ pub struct System<'a, V: Vector> {
     pub damping: [f64; 3],
     /// Whether to compute the cotangent of `damping`.
     pub damping_asked: bool,
-    bars: Vec<Bar<V::Scalar>>,
-    /// Ligaments of driven units.
-    driven_bars: Vec<Bar<V::Scalar>>,
+    bars: Bars<V::Scalar>,
     /// Force and moment on the unit per newton on each panel.
     strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
@@ -109,8 +114,10 @@ impl<'a, V: Vector> System<'a, V> {
             kernels,
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
-            bars: model.bars.iter().map(Bar::rounded).collect(),
-            driven_bars: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
+            bars: Bars {
+                all: model.bars.iter().map(Bar::rounded).collect(),
+                driven: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
+            },
             strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
             turn: vec![Turn::NONE; n],
@@ -131,7 +138,7 @@ impl<'a, V: Vector> System<'a, V> {
     /// Ligaments in the scalar type of the lanes.
     #[inline(always)]
     pub fn bars(&self) -> &[Bar<V::Scalar>] {
-        &self.bars
+        &self.bars.all
     }
 
     /// Zeros, one entry per unit.
@@ -191,18 +198,18 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn energy(&self, x: &[Place<V>]) -> V {
         // SAFETY: as in `add_forces`.
-        unsafe { (self.kernels.energy)(self.model, &self.bars, x, &self.turn) }
+        unsafe { (self.kernels.energy)(self.model, &self.bars.all, x, &self.turn) }
     }
 
     /// Overwrites `reaction` with ∂U/∂s of each driven unit at the prepared `x`.
     #[inline(always)]
     pub fn driving_forces(&mut self, x: &[Place<V>], reaction: &mut [Unit<V>]) {
-        for bar in &self.driven_bars {
+        for bar in &self.bars.driven {
             (self.h[bar.a], self.h[bar.b]) = ([V::ZERO; 3], [V::ZERO; 3]);
         }
         // SAFETY: as in `add_forces`.
         unsafe {
-            (self.kernels.gradient)(self.model, &self.driven_bars, x, &self.turn, &mut self.h, &mut {
+            (self.kernels.gradient)(self.model, &self.bars.driven, x, &self.turn, &mut self.h, &mut {
                 V::splat(1.0)
             })
         };
@@ -215,7 +222,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn add_forces(&mut self, x: &[Place<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
-        unsafe { (self.kernels.gradient)(self.model, &self.bars, x, &self.turn, g, margin) };
+        unsafe { (self.kernels.gradient)(self.model, &self.bars.all, x, &self.turn, g, margin) };
         self.subtract_forces(force, g);
     }
 
@@ -232,7 +239,7 @@ impl<'a, V: Vector> System<'a, V> {
         let Cotangent { arms, voids, stiffness, contact, .. } = &mut self.cotangent;
         let shape = ShapeCotangent { arms, voids, stiffness, contact };
         // SAFETY: as in `add_forces`.
-        unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
+        unsafe { (self.kernels.second)(self.model, &self.bars.all, x, w, &self.turn, g, bar_x, shape) };
         self.subtract_forces(force, g);
         self.push_vjp(force, w);
     }
@@ -435,7 +442,9 @@ impl<'a, V: Vector> System<'a, V> {
         let shape = ShapeCotangent { arms, voids, stiffness, contact };
         let unread = &mut self.h;
         // SAFETY: as in `add_forces`.
-        unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
+        unsafe {
+            (self.kernels.product)(self.model, &self.bars.all, x, w, &self.turn, unread, curved, shape)
+        };
     }
 
     /// Adds the cotangent of C for forces with the cotangents `w` at velocities `v`.

@@ -118,7 +118,8 @@ fn gradients_beside_a_driven_unit_are_those_of_differences() {
             let moved = |at: &[f64], along: &[f64], by: f64| -> Vec<f64> {
                 at.iter().zip(along).map(|(a, d)| a + by * d).collect()
             };
-            for (what, along) in [("design", wave(design.len())), ("own nodes", own(&scene.layout.groups[6]))]
+            for (what, along) in
+                [("design", wave(design.len())), ("own nodes", own(&scene.layout.groups.of_nodes[6]))]
             {
                 let energy =
                     |by: f64| 0.5 * norm(&at(&moved(&design, &along, by), &forces).signals).powi(2) / size;

@@ -502,21 +502,22 @@ fn circular_bodies_are_bodies() {
         assert!(layout.centres.iter().all(|c| c[0].hypot(c[1]) <= radius));
         let ends: usize = layout
             .groups
+            .of_nodes
             .iter()
-            .map(|g| g.iter().flatten().filter(|g| **g < layout.group_count).count())
+            .map(|g| g.iter().flatten().filter(|g| **g < layout.groups.count()).count())
             .sum();
         assert_eq!(ends, 4 * layout.units());
-        assert_eq!(layout.group_count, 4 * layout.units() - layout.ligaments.len(), "{across}");
+        assert_eq!(layout.groups.count(), 4 * layout.units() - layout.ligaments.len(), "{across}");
         assert_eq!(layout.hub().len(), if across % 2 == 0 { 4 } else { 1 });
         let design = layout.initial_design(0.4);
         let geometry = Geometry::new(&layout, &design, 1.0);
-        let area = 2.0 * (layout.half / 0.4f64.cos()).powi(2);
+        let area = 2.0 * (layout.half() / 0.4f64.cos()).powi(2);
         assert!(geometry.area.iter().all(|a| (a - area).abs() < 1e-9 * area), "{across}");
         if across >= 5 {
-            let panels = layout.circular_panels(8).expect("eight panels");
+            let (panels, boundary) = (layout.circular_panels(8).expect("eight panels"), layout.boundary());
             assert!(panels.iter().all(|(u, d)| {
                 let c = layout.centres[*u];
-                layout.boundary[*u] && c[0] * d[0] + c[1] * d[1] < 0.0
+                boundary[*u] && c[0] * d[0] + c[1] * d[1] < 0.0
             }));
         }
     }

@@ -11,8 +11,8 @@ fn a_unit_that_is_turned_over_needs_a_given_mass() {
     let problem = prepared(&own).unwrap();
     let (layout, unit) = (&problem.scene.layout, 4);
     let mut design = problem.initial.clone();
-    for (base, group) in layout.shape[unit].iter().zip(&layout.groups[unit]) {
-        design[2 * group.unwrap()] -= 2.0 * layout.half * base[0];
+    for (base, group) in layout.shape[unit].iter().zip(&layout.groups.of_nodes[unit]) {
+        design[2 * group.unwrap()] -= 2.0 * layout.half() * base[0];
     }
     assert!(problem.scene.geometry(&design).area[unit] < 0.0);
     assert!(with_design(&given, &design).is_ok());

@@ -322,7 +322,7 @@ fn shifts(layout: &Layout, corners: &[Vec<Point>], away: f64) -> Vec<f64> {
     let mut design = vec![0.0; layout.design_len()];
     let undisplaced = layout.vertices(&design);
     let nodes = corners.iter().flatten().zip(undisplaced.iter().flatten());
-    for ((now, was), group) in nodes.zip(layout.groups.iter().flatten()) {
+    for ((now, was), group) in nodes.zip(layout.groups.of_nodes.iter().flatten()) {
         if let Some(group) = group {
             (0..2).for_each(|d| design[2 * group + d] = now[d] - away - was[d]);
         }

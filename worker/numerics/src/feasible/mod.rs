@@ -90,9 +90,9 @@ pub struct Feasible {
 impl Feasible {
     /// Feasible designs of `layout` within `limits`; nodes of `fixed_units` stay where the previous design has them.
     pub fn new(layout: &Layout, limits: Limits, fixed_units: &[usize]) -> Self {
-        let mut fixed = vec![false; layout.group_count];
+        let mut fixed = vec![false; layout.groups.count()];
         for &unit in fixed_units {
-            for &group in layout.groups[unit].iter().flatten() {
+            for &group in layout.groups.of_nodes[unit].iter().flatten() {
                 fixed[group] = true;
             }
         }

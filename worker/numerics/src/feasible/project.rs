@@ -250,7 +250,8 @@ impl Feasible {
         for active in self.active(&best).iter().filter(|a| a.kind == Kind::Edge) {
             let (unit, p) = (active.units[0], active.node);
             let next = self.layout.next(End { unit, node: p }).node;
-            let [Some(here), Some(there)] = [p, next].map(|node| self.layout.groups[unit][node]) else {
+            let [Some(here), Some(there)] = [p, next].map(|node| self.layout.groups.of_nodes[unit][node])
+            else {
                 continue;
             };
             let groups = [here, there];

@@ -158,9 +158,10 @@ fn near_centre(angle: f64, centre: f64) -> f64 {
 impl Rows {
     pub fn new(layout: &Layout, limits: Limits) -> Self {
         let units = layout.units();
-        let half = layout.half;
+        let half = layout.half();
         let base = layout.vertices(&vec![0.0; layout.design_len()]).concat();
-        let group = layout.groups.iter().flatten().map(|group| group.map(|group| group as u32)).collect();
+        let group =
+            layout.groups.of_nodes.iter().flatten().map(|group| group.map(|group| group as u32)).collect();
         let nodes = |u: usize| layout.first[u] as u32..layout.first[u + 1] as u32;
         let mut pieces: Vec<Piece> =
             (0..units).map(|u| Piece { nodes: nodes(u).collect(), units: [u as u32; 2] }).collect();

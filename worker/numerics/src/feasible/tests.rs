@@ -186,7 +186,7 @@ fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
     }
     // A square that extends through the plate.
     let mut wrong = start.clone();
-    let free = layout.groups[4][2].unwrap();
+    let free = layout.groups.of_nodes[4][2].unwrap();
     wrong[2 * free + 1] += 22.0;
     let kinds: Vec<_> = feasible.violations(&wrong).iter().map(|v| (v.kind, v.units)).collect();
     assert!(kinds.contains(&(Kind::Overlap, [4, 6])), "{kinds:?}");
@@ -210,7 +210,7 @@ fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
     // The second square's right side moved by 6.5 mm, over the whole L-shape.
     let mut wide = still.clone();
     for node in [1, 2] {
-        wide[2 * layout.groups[1][node].unwrap()] += 6.5;
+        wide[2 * layout.groups.of_nodes[1][node].unwrap()] += 6.5;
     }
     let limits = Limits { enforced: false, ..Limits::default() };
     let mut feasible = Feasible::new(&layout, limits, &[]);
@@ -220,7 +220,7 @@ fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
     assert!(pairs == 1 && inverted == 0 && (area - 12.0).abs() < 1e-12, "{pairs} {inverted} {area}");
     let mut over = still.clone();
     for node in [0, 3] {
-        over[2 * layout.groups[0][node].unwrap()] += 5.0;
+        over[2 * layout.groups.of_nodes[0][node].unwrap()] += 5.0;
     }
     let Overlaps { inverted, inverted_area, .. } = overlaps(&layout, &over);
     assert!(inverted == 1 && (inverted_area - 4.0).abs() < 1e-12, "{inverted_area}");
@@ -232,7 +232,7 @@ fn the_judge_names_what_is_broken() {
     let (layout, start, feasible) = body(3, 3);
     let seen = |unit: usize, node: usize, shift: [f64; 2]| {
         let mut design = start.clone();
-        let group = layout.groups[unit][node].unwrap();
+        let group = layout.groups.of_nodes[unit][node].unwrap();
         design[2 * group] += shift[0];
         design[2 * group + 1] += shift[1];
         feasible.violations(&design).iter().map(|v| (v.kind, v.units)).collect::<Vec<_>>()

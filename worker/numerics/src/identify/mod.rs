@@ -177,20 +177,27 @@ pub struct Fit {
     pub undetermined: Vec<Direction>,
     /// Correlations of the free parameters' estimates; 0 with parameters that are not identifiable.
     pub correlation: Vec<Vec<f64>>,
-    /// RMS residual of accelerations and rotation rates (% of the signals' RMS), at the start and at the end; measured records only.
-    pub misfit: [[f64; 2]; 2],
-    /// RMS residual at the end (mm/s², rad/s); measured records only.
-    pub residual: [f64; 2],
-    /// Simulated readings (N, T, channels) at the start and at the end; measured records only.
-    pub signals: [Vec<f64>; 2],
-    /// Iterations; measured records only.
-    pub iterations: Vec<Iteration>,
+    /// Measured records only.
+    pub measured: MeasuredFit,
     /// Integration method; measured records only.
     pub solver: String,
     /// Number of steps.
     pub steps: usize,
     /// Cost of the simulations.
     pub counters: Counters,
+}
+
+/// How a twin reproduces measured records.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredFit {
+    /// RMS residual of accelerations and rotation rates (% of the signals' RMS), at the start and at the end.
+    pub misfit: [[f64; 2]; 2],
+    /// RMS residual at the end (mm/s², rad/s).
+    pub residual: [f64; 2],
+    /// Simulated readings (N, T, channels) at the start and at the end.
+    pub signals: [Vec<f64>; 2],
+    /// Iterations.
+    pub iterations: Vec<Iteration>,
 }
 
 /// Largest factor between a free parameter and its value in the spec.
@@ -215,10 +222,12 @@ impl Fit {
             unmodelled: None,
             undetermined: Vec::new(),
             correlation: Vec::new(),
-            misfit: [[100.0; 2]; 2],
-            residual: [0.0; 2],
-            signals: [Vec::new(), Vec::new()],
-            iterations: Vec::new(),
+            measured: MeasuredFit {
+                misfit: [[100.0; 2]; 2],
+                residual: [0.0; 2],
+                signals: [Vec::new(), Vec::new()],
+                iterations: Vec::new(),
+            },
             solver: String::new(),
             steps: 0,
             counters: Counters::default(),
@@ -294,7 +303,7 @@ impl Fit {
             descent.fit(&mut fit, records.0, &asked, free.is_empty());
         }
         (fit.steps, fit.counters) = (descent.steps, descent.objective.counters);
-        fit.iterations = descent.iterations;
+        fit.measured.iterations = descent.iterations;
         fit
     }
 }

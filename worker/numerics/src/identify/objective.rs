@@ -14,16 +14,16 @@ use std::borrow::Cow;
 
 /// Difference in z (standard deviations) for derivatives, with time steps held.
 const NUDGE: f64 = 1e-4;
-/// Fraction of the largest force at which a record begins.
-const BEGUN: f64 = 0.01;
 /// Fraction of the signals' energy in the first window.
 const GLANCE: f64 = 0.02;
 /// Integration error for columns of the Jacobian.
 const COARSE: Accuracy = Accuracy(3e-2);
 
 mod columns;
+mod records;
 
 pub use columns::Columns;
+use records::Records;
 
 /// z, its simulation and its cost.
 pub struct Point {
@@ -42,46 +42,38 @@ pub struct Point {
     slopes: Vec<f64>,
 }
 
-/// Body, records, window and weights.
+/// The mean squares of whitened residuals and of unknowns, for one body and its records.
 pub struct Objective<'a> {
     problem: &'a Problem,
     design: &'a [f64],
-    recordings: &'a [f64],
-    /// Scene and forces of whole records, on the simulation's clock if clocks are uncertain.
-    moving: (Scene, Forces),
-    /// Difference between smooth and piecewise linear forces, on the same clock.
-    sharper: Forces,
-    deviation: f64,
-    clock: Option<Clock>,
     chip: Option<&'a Chip>,
     pool: &'a crate::Pool,
+    /// Set if the records' clocks are uncertain.
+    clock: Option<Clock>,
     pub unknowns: Unknowns,
     /// Number of unknowns, from the first, that are fitted.
     pub moves: usize,
+    pub records: Records<'a>,
+    simulator: Simulator,
+    pub counters: Counters,
+}
+
+/// What is simulated, and how.
+struct Simulator {
+    /// Scene and forces of whole records, on the simulation's clock if clocks are uncertain.
+    whole: (Scene, Forces),
+    /// Difference between smooth and piecewise linear forces, on the same clock.
+    whole_sharper: Forces,
+    /// The same up to the end of the window.
+    scene: Scene,
+    forces: Forces,
+    sharper: Forces,
     /// Solver and plans from `choose_clock`: accurate, and coarse for Jacobian columns.
     solver: Solver,
     plan: Plan,
     coarse: Plan,
     /// Relative integration error of the signals.
     least: f64,
-    /// First instant of each record's force.
-    onsets: Vec<usize>,
-    /// Records that count: those under which the body can be simulated at z = 0.
-    counts: Vec<bool>,
-    window: usize,
-    /// Readings per record up to the end of the window.
-    readings: usize,
-    /// Scene, forces and readings up to there.
-    scene: Scene,
-    forces: Forces,
-    sharp: Forces,
-    recorded: Vec<f64>,
-    /// Whether each recorded reading counts.
-    seen: Vec<bool>,
-    /// Standard deviations of noise and bias per channel.
-    pub noise: Vec<f64>,
-    bias: Vec<f64>,
-    pub counters: Counters,
 }
 
 impl<'a> Objective<'a> {
@@ -99,30 +91,23 @@ impl<'a> Objective<'a> {
         let mut objective = Self {
             problem,
             design,
-            recordings,
-            deviation,
-            clock: None,
             chip,
             pool,
+            clock: None,
             moves: unknowns.all().len(),
             unknowns,
-            solver: *solver,
-            least: solver.accuracy.0.clamp(1e-6, 1e-2),
-            plan: Plan::equal(Method::Nystrom6, 1),
-            coarse: Plan::equal(Method::Nystrom6, 1),
-            onsets: onsets(&problem.scene, forces),
-            counts: vec![true; forces.samples],
-            window: 0,
-            readings: 0,
-            scene: problem.scene.clone(),
-            forces: forces.clone(),
-            sharp: sharper.clone(),
-            moving: (problem.scene.clone(), forces.clone()),
-            sharper,
-            recorded: Vec::new(),
-            seen: Vec::new(),
-            noise: vec![1.0; width],
-            bias: chip.map_or_else(|| vec![0.0; width], |chip| chip.bias.clone()),
+            records: Records::new(recordings, deviation, &problem.scene, forces, chip, width),
+            simulator: Simulator {
+                whole: (problem.scene.clone(), forces.clone()),
+                whole_sharper: sharper.clone(),
+                scene: problem.scene.clone(),
+                forces: forces.clone(),
+                sharper,
+                solver: *solver,
+                plan: Plan::equal(Method::Nystrom6, 1),
+                coarse: Plan::equal(Method::Nystrom6, 1),
+                least: solver.accuracy.0.clamp(1e-6, 1e-2),
+            },
             counters: Counters::default(),
         };
         objective.choose_clock(&problem.scene, design, forces, solver);
@@ -134,15 +119,16 @@ impl<'a> Objective<'a> {
     fn choose_clock(&mut self, body: &Scene, design: &[f64], forces: &Forces, solver: &Solver) {
         let (problem, solver) = (self.problem, solver.in_equal_steps());
         let (least, delay) = problem.clock_and_delay();
-        self.clock = Clock::new(self.deviation, delay, least, (body, design), forces, &solver, self.pool);
+        self.clock =
+            Clock::new(self.records.deviation, delay, least, (body, design), forces, &solver, self.pool);
         if let Some(clock) = self.clock {
-            self.moving = clock.in_motion(&problem.scene, forces);
-            self.sharper = clock.in_motion(&problem.scene, &sharper(forces)).1;
+            self.simulator.whole = clock.in_motion(&problem.scene, forces);
+            self.simulator.whole_sharper = clock.in_motion(&problem.scene, &sharper(forces)).1;
         }
-        self.solver = solver;
-        let body = Scene { instants: self.moving.0.instants, ..body.clone() };
-        let forces = self.moving.1.clone();
-        [self.plan, self.coarse] = self.plans(&body, design, &forces);
+        self.simulator.solver = solver;
+        let body = Scene { instants: self.simulator.whole.0.instants, ..body.clone() };
+        let forces = self.simulator.whole.1.clone();
+        [self.simulator.plan, self.simulator.coarse] = self.plans(&body, design, &forces);
     }
 
     /// Tunes solver and clock for the cast of z. Returns the solver's reason. Call `look_at` afterwards.
@@ -158,7 +144,7 @@ impl<'a> Objective<'a> {
     /// Plans for a scene and forces: accurate, and coarse for Jacobian columns.
     fn plans(&self, scene: &Scene, design: &[f64], forces: &Forces) -> [Plan; 2] {
         let (scene, forces) = self.in_motion(scene, forces);
-        [self.solver, Solver::new(Method::Nystrom4, COARSE)]
+        [self.simulator.solver, Solver::new(Method::Nystrom4, COARSE)]
             .map(|solver| planned(&scene, design, &forces, &solver).double())
     }
 
@@ -173,35 +159,30 @@ impl<'a> Objective<'a> {
     /// Excludes records under which the body cannot be simulated at z = 0. Returns the number that remain.
     pub fn leave_out(&mut self) -> usize {
         let cast = self.unknowns.cast(&vec![0.0; self.unknowns.all().len()]);
-        let found = self.simulate(&self.plan, &cast, &self.forces, false);
+        let found = self.simulate(&self.simulator.plan, &cast, &self.simulator.forces, false);
         self.counters += found.counters;
-        self.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
+        self.records.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
         self.see();
-        self.counted()
-    }
-
-    /// Channels per instant.
-    fn width(&self) -> usize {
-        self.noise.len()
+        self.records.counted()
     }
 
     /// Sets the window: `window` instants of each record from its onset, plus the margin for late clocks.
     pub fn look_at(&mut self, window: usize) {
-        let all = self.problem.scene.instants;
-        self.window = window;
         let (finer, margin) = self.clock.map_or((1, 0), |clock| (clock.finer, clock.margin()));
-        let n = self.onsets.iter().map(|o| (o + window + 2 * margin).min(all)).max().unwrap_or(all);
-        self.readings = n;
-        (self.scene, self.forces) = self.moving.1.beginning(&self.moving.0, finer * n);
-        self.sharp = self.sharper.beginning(&self.moving.0, finer * n).1;
-        let width = self.width();
-        self.recorded =
-            self.recordings.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
+        self.records.look_at(window, margin, self.instants());
+        let (to, instants) = (&mut self.simulator, finer * self.records.instants);
+        (to.scene, to.forces) = to.whole.1.beginning(&to.whole.0, instants);
+        to.sharper = to.whole_sharper.beginning(&to.whole.0, instants).1;
         self.see();
     }
 
+    /// Selects the readings that count.
+    fn see(&mut self) {
+        self.records.see(self.clock.map_or(0, |clock| clock.margin()), self.chip);
+    }
+
     fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
-        let own = cast.scene(&self.scene);
+        let own = cast.scene(&self.simulator.scene);
         let (scene, forces) = self.in_motion(&own, forces);
         run(&scene, &cast.design(self.design), &forces, plan, keep_tape, self.pool)
     }
@@ -210,12 +191,12 @@ impl<'a> Objective<'a> {
     fn forces(&self, z: &DVector<f64>, records: Option<&[usize]>) -> Cow<'_, Forces> {
         let of = |all: &'_ Forces| records.map(|records| all.select(records));
         let by = self.unknowns.sharpness(z.as_slice());
-        let forces = of(&self.forces).map_or(Cow::Borrowed(&self.forces), Cow::Owned);
+        let forces = of(&self.simulator.forces).map_or(Cow::Borrowed(&self.simulator.forces), Cow::Owned);
         if by == 0.0 {
             return forces;
         }
-        let (mut forces, sharp) = (forces.into_owned(), of(&self.sharp));
-        let sharp = sharp.as_ref().unwrap_or(&self.sharp);
+        let (mut forces, sharp) = (forces.into_owned(), of(&self.simulator.sharper));
+        let sharp = sharp.as_ref().unwrap_or(&self.simulator.sharper);
         forces.values.iter_mut().zip(&sharp.values).for_each(|(f, sharp)| *f += by * sharp);
         Cow::Owned(forces)
     }
@@ -227,15 +208,15 @@ impl<'a> Objective<'a> {
             z[k] = z[k].clamp(-limit, limit);
         }
         let cast = self.unknowns.cast(z.as_slice());
-        let (scene, forces) = (cast.scene(&self.scene), self.forces(&z, None));
+        let (scene, forces) = (cast.scene(&self.simulator.scene), self.forces(&z, None));
         let plan = match self.unknowns.free() {
-            0 => self.plan.clone(),
+            0 => self.simulator.plan.clone(),
             _ => self.plans(&scene, &cast.design(self.design), &forces)[0].clone(),
         };
         let mut simulation = self.simulate(&plan, &cast, &forces, true);
         self.counters += simulation.counters;
         let well = |(outcome, counts): (&Outcome, &bool)| !counts || *outcome == Outcome::Ok;
-        if !simulation.outcomes.iter().zip(&self.counts).all(well) {
+        if !simulation.outcomes.iter().zip(&self.records.counts).all(well) {
             return None;
         }
         let mut felt = std::mem::take(&mut simulation.signals);
@@ -246,14 +227,14 @@ impl<'a> Objective<'a> {
     }
 
     fn cost(&self, point: &Point) -> f64 {
-        let misfit: f64 = self.residual(&point.read).iter().map(|r| r * r).sum();
-        let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.deviation).powi(2)).sum();
+        let misfit: f64 = self.records.residual(&point.read).iter().map(|r| r * r).sum();
+        let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.records.deviation).powi(2)).sum();
         0.5 * (misfit + clocks + point.z.norm_squared())
     }
 
     /// Updates readings, clock offsets and cost for the present weights.
     pub fn again(&self, mut point: Point) -> Point {
-        let (samples, width) = (self.forces.samples, self.width());
+        let (samples, width) = (self.simulator.forces.samples, self.records.width());
         let Some(clock) = self.clock else {
             if point.read.is_empty() {
                 point.read = self.problem.read(point.felt.clone(), samples);
@@ -261,10 +242,10 @@ impl<'a> Objective<'a> {
             return Point { cost: self.cost(&point), ..point };
         };
         let felt = self.problem.low_pass_channels(point.felt.clone(), samples, clock.finer);
-        let record = self.readings * width;
+        let record = self.records.size();
         let of = |(i, felt): (usize, &[f64])| {
-            let whiten = |own: &mut [f64]| self.whiten_record(i, own);
-            let offset = clock.settle(felt, &self.recorded[i * record..][..record], width, &whiten);
+            let whiten = |own: &mut [f64]| self.records.whiten_record(i, own);
+            let offset = clock.settle(felt, &self.records.recorded[i * record..][..record], width, &whiten);
             (offset, clock.read(felt, width, offset, 0), clock.slope(felt, width, offset))
         };
         let each = felt.par_chunks_exact(record * clock.finer).enumerate();
@@ -278,27 +259,28 @@ impl<'a> Objective<'a> {
     /// Readings from the signals of all sensors, at these clock offsets.
     fn read(&self, felt: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read(felt, samples) };
-        let (felt, width) = (self.problem.low_pass_channels(felt, samples, clock.finer), self.width());
-        let each = felt.chunks_exact(self.readings * width * clock.finer).zip(offsets);
+        let (felt, width) =
+            (self.problem.low_pass_channels(felt, samples, clock.finer), self.records.width());
+        let each = felt.chunks_exact(self.records.size() * clock.finer).zip(offsets);
         each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect()
     }
 
     /// Transpose of `read`.
     fn read_vjp(&self, cotangent: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read_vjp(cotangent, samples) };
-        let width = self.width();
-        let each = cotangent.chunks_exact(self.readings * width).zip(offsets);
+        let width = self.records.width();
+        let each = cotangent.chunks_exact(self.records.size()).zip(offsets);
         let felt = each.flat_map(|(own, offset)| clock.read_vjp(own, width, *offset)).collect();
         self.problem.low_pass_channels_vjp(felt, samples, clock.finer)
     }
 
     /// For the records listed: readings (n, window, channels), R^{-½}(y − a), and the same with R including the clock offsets' prior.
     pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 3] {
-        let record = self.readings * self.width();
+        let record = self.records.size();
         let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
-        let left = self.residual(&point.read);
+        let left = self.records.residual(&point.read);
         let (mut before, mut slopes) = (left.clone(), point.slopes.clone());
-        self.whiten(&mut slopes);
+        self.records.whiten(&mut slopes);
         if let Some(clock) = self.clock {
             clock.whiten_residual(&slopes, &point.offsets, record, &mut before);
         }
@@ -316,66 +298,21 @@ impl<'a> Objective<'a> {
     ) -> Vec<Option<Offset>> {
         let Some(clock) = self.clock else { return Vec::new() };
         let (record, left, mut slopes) =
-            (self.readings * self.width(), self.residual(&point.read), point.slopes.clone());
-        self.whiten(&mut slopes);
+            (self.records.size(), self.records.residual(&point.read), point.slopes.clone());
+        self.records.whiten(&mut slopes);
         let of = |i: usize| {
             let at = columns.records.iter().position(|of| *of == i)?;
             let (own, rows) = (i * record..(i + 1) * record, jacobian.rows(at * record, record).into_owned());
             let both = [&slopes[own.clone()], &left[own]];
             Some(clock.offset(point.offsets[i], both, &rows, covariance, unmodelled))
         };
-        (0..self.counts.len()).map(of).collect()
-    }
-
-    /// R^{-½}(y − a); zero where a reading does not count.
-    pub fn residual(&self, read: &[f64]) -> Vec<f64> {
-        let mut left: Vec<f64> = self.recorded.iter().zip(read).map(|(y, a)| y - a).collect();
-        self.whiten(&mut left);
-        left
-    }
-
-    /// Excludes readings outside the window, of excluded records, and at the limit of the range.
-    fn see(&mut self) {
-        let (width, record) = (self.width(), self.readings * self.width());
-        let margin = self.clock.map_or(0, |clock| clock.margin());
-        let mut seen = vec![1.0; self.recorded.len()];
-        for (i, own) in seen.chunks_exact_mut(record).enumerate() {
-            let end = (self.onsets[i] + self.window + margin).min(self.readings.saturating_sub(margin));
-            let end = if self.counts[i] { end } else { 0 };
-            own.iter_mut().skip(end * width).for_each(|seen| *seen = 0.0);
-        }
-        if let Some(chip) = self.chip {
-            chip.disturb_vjp(&mut seen, &self.recorded);
-        }
-        self.seen = seen.into_iter().map(|seen| seen != 0.0).collect();
-    }
-
-    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ over the n readings of a record's channel that count, (1 − s)² = σ²/(σ² + n b²);
-    /// symmetric. Other readings become zero.
-    fn whiten(&self, of: &mut [f64]) {
-        let record = self.readings * self.width();
-        of.chunks_exact_mut(record).enumerate().for_each(|(i, own)| self.whiten_record(i, own));
-    }
-
-    /// Applies `whiten` to one record.
-    fn whiten_record(&self, i: usize, own: &mut [f64]) {
-        let (width, seen) = (self.width(), &self.seen[i * own.len()..][..own.len()]);
-        for c in 0..width {
-            let (noise, bias) = (self.noise[c], self.bias[c]);
-            let seen = || seen[c..].iter().step_by(width);
-            let n = seen().filter(|seen| **seen).count().max(1) as f64;
-            let counts = own[c..].iter().step_by(width).zip(seen()).filter(|(_, seen)| **seen);
-            let mean = counts.map(|(x, _)| x).sum::<f64>() / n;
-            let part = 1.0 - noise / noise.hypot(n.sqrt() * bias);
-            let each = own[c..].iter_mut().step_by(width).zip(seen());
-            each.for_each(|(x, seen)| *x = if *seen { (*x - part * mean) / noise } else { 0.0 });
-        }
+        (0..self.records.counts.len()).map(of).collect()
     }
 
     /// dF/dz of the fitted unknowns.
     pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
-        let mut cotangent = self.residual(&point.read);
-        self.whiten(&mut cotangent);
+        let mut cotangent = self.records.residual(&point.read);
+        self.records.whiten(&mut cotangent);
         cotangent.iter_mut().for_each(|bar| *bar = -*bar);
         let mut by_difference = Vec::new();
         for k in 0..self.moves {
@@ -387,7 +324,7 @@ impl<'a> Objective<'a> {
                 by_difference.push((k, slope));
             }
         }
-        let mut cotangent = self.read_vjp(cotangent, self.forces.samples, &point.offsets);
+        let mut cotangent = self.read_vjp(cotangent, self.simulator.forces.samples, &point.offsets);
         let chips = point.cast.chips.own_vjp(&point.felt, &cotangent);
         point.cast.chips.read_vjp(&mut cotangent);
         let gradient = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
@@ -404,16 +341,17 @@ impl<'a> Objective<'a> {
 
     /// Noise per channel: RMS of the residual, and its lower bound from the chips' noise and the integration error.
     pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
-        let width = self.width();
-        let mut left = self.residual(&point.read);
-        left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.noise[i % width]);
-        let seen = |c: usize| self.seen[c..].iter().step_by(width).filter(|seen| **seen).count() as f64;
+        let width = self.records.width();
+        let mut left = self.records.residual(&point.read);
+        left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.records.noise[i % width]);
+        let seen =
+            |c: usize| self.records.seen[c..].iter().step_by(width).filter(|seen| **seen).count() as f64;
         let rms = |of: &[f64], c: usize, n: f64| {
             (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1.0)).sqrt()
         };
-        let instants = (self.recorded.len() / width) as f64;
+        let instants = (self.records.recorded.len() / width) as f64;
         let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviations);
-        let least = |c: usize| chip[c].max(self.least * rms(&self.recorded, c, instants));
+        let least = |c: usize| chip[c].max(self.simulator.least * rms(&self.records.recorded, c, instants));
         [(0..width).map(|c| rms(&left, c, seen(c))).collect(), (0..width).map(least).collect()]
     }
 
@@ -422,15 +360,10 @@ impl<'a> Objective<'a> {
         let [left, least] = self.noises(point);
         let noise = left.iter().zip(&least).map(|(left, least)| left.max(*least));
         let noise: Vec<f64> = noise.map(|noise| if noise > 0.0 { noise } else { 1.0 }).collect();
-        let changed = noise.iter().zip(&self.noise).map(|(now, before)| (now / before - 1.0).abs());
+        let changed = noise.iter().zip(&self.records.noise).map(|(now, before)| (now / before - 1.0).abs());
         let changed = changed.fold(0.0, f64::max);
-        self.noise = noise;
+        self.records.noise = noise;
         changed
-    }
-
-    /// Number of records that count.
-    pub fn counted(&self) -> usize {
-        self.counts.iter().filter(|counts| **counts).count()
     }
 
     /// Whether clocks are uncertain.
@@ -468,7 +401,7 @@ impl<'a> Objective<'a> {
 
     /// Length of the window (s).
     pub fn seconds(&self) -> f64 {
-        self.window as f64 * self.problem.scene.duration / self.instants() as f64
+        self.records.window as f64 * self.problem.scene.duration / self.instants() as f64
     }
 
     /// Readings per whole record.
@@ -483,11 +416,11 @@ impl<'a> Objective<'a> {
 
     /// First window: the shortest that contains a fraction `GLANCE` of the energy.
     pub fn first_window(&self) -> usize {
-        let (width, instants) = (self.width(), self.instants());
+        let (width, instants) = (self.records.width(), self.instants());
         let mut energy = vec![[0.0; 2]; instants + 1];
-        for (i, &onset) in self.onsets.iter().enumerate() {
+        for (i, &onset) in self.records.onsets.iter().enumerate() {
             for n in onset..instants {
-                let at = &self.recordings[(i * instants + n) * width..][..width];
+                let at = &self.records.all[(i * instants + n) * width..][..width];
                 at.iter().enumerate().for_each(|(c, y)| energy[n - onset + 1][self.kind(c)] += y * y);
             }
         }
@@ -506,9 +439,9 @@ impl<'a> Objective<'a> {
     /// RMS residual of accelerations and rotation rates over counted readings: in mm/s² and rad/s, and in % of the signals' RMS.
     pub fn misfit(&self, point: &Point) -> [[f64; 2]; 2] {
         let (mut off, mut size, mut count) = ([0.0; 2], [0.0; 2], [0.0f64; 2]);
-        let each = self.recorded.iter().zip(&point.read).zip(&self.seen).enumerate();
+        let each = self.records.recorded.iter().zip(&point.read).zip(&self.records.seen).enumerate();
         for (i, ((y, a), _)) in each.filter(|(_, (_, seen))| **seen) {
-            let kind = self.kind(i % self.width());
+            let kind = self.kind(i % self.records.width());
             off[kind] += (y - a).powi(2);
             size[kind] += y * y;
             count[kind] += 1.0;
@@ -532,18 +465,4 @@ fn sharper(forces: &Forces) -> Forces {
     };
     let values = forces.values.chunks(forces.instants + 1).flat_map(of).collect();
     Forces { values, ..forces.clone() }
-}
-
-/// Instant at which each record's force begins.
-fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
-    let onset = |i: usize| {
-        let history = forces.sample(i);
-        let largest = history.iter().fold(0.0f64, |m, f| m.max(f.abs()));
-        let begun = |n: &usize| {
-            let f = (0..forces.panels).map(|k| history[k * (forces.instants + 1) + n].abs());
-            f.fold(0.0, f64::max) > BEGUN * largest
-        };
-        (0..=forces.instants).find(begun).unwrap_or(0) / forces.kinks(scene)
-    };
-    (0..forces.samples).map(onset).collect()
 }

@@ -50,20 +50,20 @@ impl Descent<'_> {
     pub fn fit(&mut self, fit: &mut Fit, forces: &Forces, asked: &Solver, as_scattered: bool) {
         let start = DVector::zeros(self.objective.unknowns.all().len());
         let Some(first) = self.whole(&start) else { return };
-        fit.misfit[0] = self.objective.misfit(&first)[1];
-        fit.signals[0].clone_from(&first.read);
+        fit.measured.misfit[0] = self.objective.misfit(&first)[1];
+        fit.measured.signals[0].clone_from(&first.read);
         fit.ending = Ending::NoProgress;
         let found = match as_scattered {
             true => self.by_windows(&mut fit.ending).expect("told to go on"),
             false => self.free_first(fit, start, forces, asked),
         };
         let Some((point, mut columns)) = found else { return };
-        if columns.records.len() < self.objective.counted() {
+        if columns.records.len() < self.objective.records.counted() {
             columns = self.objective.columns(&point, usize::MAX);
         }
         fit.tell(&self.objective, &point, &columns);
         interval::bound(fit, &self.objective, &point, &columns);
-        [fit.residual, fit.misfit[1]] = self.objective.misfit(&point);
+        [fit.measured.residual, fit.measured.misfit[1]] = self.objective.misfit(&point);
         let at_the_bound = fit.estimates.iter().any(|e| e.at_the_bound)
             || fit.offsets.iter().flatten().any(|offset| offset.half.is_none());
         // A bound or an undetermined direction is the more specific cause.
@@ -71,10 +71,10 @@ impl Descent<'_> {
             fit.ending = Ending::AtTheBound;
         } else if !fit.undetermined.is_empty() && fit.ending == Ending::Converged {
             fit.ending = Ending::NotIdentifiable;
-        } else if fit.misfit[1].iter().any(|left| *left > UNEXPLAINED) {
+        } else if fit.measured.misfit[1].iter().any(|left| *left > UNEXPLAINED) {
             fit.ending = Ending::NotExplained;
         }
-        fit.signals[1] = point.read;
+        fit.measured.signals[1] = point.read;
     }
 
     /// Fits windows from one start after another until one succeeds; then free parameters alone on whole records, then all unknowns.

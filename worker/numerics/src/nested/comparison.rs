@@ -53,9 +53,9 @@ pub(super) fn compare(trial: &Trial, mut state: State, observer: &mut dyn Observ
         .map(|mould| log.timed(|s| &mut s.simulate, |report| under(mould, &mut report.counters)));
     let under = initial_and_best(problem, under.collect());
     let Report { mut counters, seconds, .. } = log.report;
-    counters.dynamics += trial.pilots;
+    counters.dynamics += trial.integrators.pilots;
     counters.dynamics += tuned.counters;
-    let solver = format!("{}{BEST}{}", trial.reason, tuned.reason);
+    let solver = format!("{}{BEST}{}", trial.integrators.reason, tuned.reason);
     let Comparison { bodies: compared, mut casts, mut bands, mut tasks, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);

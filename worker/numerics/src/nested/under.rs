@@ -32,7 +32,7 @@ pub(super) fn under(mould: &DesignWithSolver, counters: &mut Counters) -> Vec<Un
     for (kind, source) in problem.under.iter().enumerate() {
         let there =
             trial.with_source(source, design).map_err(|failure| failure.trouble()).and_then(|there| {
-                counters.dynamics += there.pilots;
+                counters.dynamics += there.integrators.pilots;
                 let body = DesignWithSolver { trial: &there, design, solver: &there.problem.solver };
                 let read = body.samples(None, there.problem.holdout(), counters)?;
                 Ok((there, read))

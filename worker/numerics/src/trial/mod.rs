@@ -36,7 +36,7 @@ use crate::variation::{Cast, Casts, Chips};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Separates the reasons for the accurate and the coarse integrator in [`Trial::reason`].
+/// Separates the reasons for the accurate and the coarse integrator in [`Integrators::reason`].
 pub(crate) const COARSE: &str = ". Coarse steps: ";
 /// Samples of a pilot: the number of SIMD lanes.
 const PILOT: usize = 8;
@@ -47,14 +47,7 @@ pub struct Trial<'a> {
     pub problem: Problem,
     /// Thread pool.
     pub pool: &'a crate::Pool,
-    /// Why the integrators were chosen.
-    pub reason: String,
-    /// Work of the pilots.
-    pub pilots: dynamics::Counters,
-    /// The accurate integrator of the initial body; `pilots` contains the work of its pilot.
-    usual: Pilot,
-    /// The accurate integrator of the spec, not tuned.
-    requested_solver: Solver,
+    pub(crate) integrators: Integrators,
     /// Forces of the training samples.
     pub train: Forces,
     pub(crate) test: Forces,
@@ -70,6 +63,18 @@ pub struct Trial<'a> {
     pub(crate) initial: Samples,
     /// λ of the linear decoder on `initial`, once chosen.
     pub(crate) initial_ridge: OnceLock<Result<f64, Trouble>>,
+}
+
+/// The choice of a trial's integrators.
+pub(crate) struct Integrators {
+    /// Why they were chosen.
+    pub reason: String,
+    /// Work of the pilots.
+    pub pilots: dynamics::Counters,
+    /// The accurate integrator of the initial body, without the work of its pilot.
+    initial: Pilot,
+    /// The accurate integrator of the spec, not tuned.
+    requested: Solver,
 }
 
 /// Result of a simulation with sensors.
@@ -100,7 +105,7 @@ impl<'a> Trial<'a> {
     /// If the body cannot be simulated.
     pub(crate) fn with_source(&self, source: &Source, design: &[f64]) -> Result<Self, Failure> {
         let stimuli = Stimuli { source: source.clone(), ..self.problem.stimuli.clone() };
-        let (initial, solver, under) = (design.to_vec(), self.requested_solver, Vec::new());
+        let (initial, solver, under) = (design.to_vec(), self.integrators.requested, Vec::new());
         let mut problem = Problem { stimuli, initial, solver, under, ..self.problem.clone() };
         problem.optimise.coarse = None;
         Self::with_chip(&problem, self.pool, self.chip.clone())
@@ -165,10 +170,12 @@ impl<'a> Trial<'a> {
         Ok(Self {
             problem,
             pool,
-            reason,
-            usual: Pilot { counters: dynamics::Counters::default(), ..usual },
-            pilots,
-            requested_solver: asked,
+            integrators: Integrators {
+                reason,
+                pilots,
+                initial: Pilot { counters: dynamics::Counters::default(), ..usual },
+                requested: asked,
+            },
             train,
             test,
             scales,
@@ -193,8 +200,8 @@ impl<'a> Trial<'a> {
     /// The accurate integrator tuned on a body, with the work of the pilot (none for the initial body).
     pub fn tuned(&self, design: &[f64]) -> Pilot {
         match design == self.problem.initial {
-            true => self.usual.clone(),
-            false => pilot(&self.problem, design, &self.requested_solver, self.pool),
+            true => self.integrators.initial.clone(),
+            false => pilot(&self.problem, design, &self.integrators.requested, self.pool),
         }
     }
 

@@ -105,9 +105,9 @@ impl Variation {
         if self.nodes == 0.0 || self.correlation == 0.0 {
             return Vec::new();
         }
-        let count = layout.group_count;
+        let count = layout.groups.count();
         let (vertices, mut at) = (layout.vertices(&vec![0.0; 2 * count]), vec![([0.0; 2], 0.0); count]);
-        for (&group, node) in layout.groups.iter().flatten().zip(vertices.iter().flatten()) {
+        for (&group, node) in layout.groups.of_nodes.iter().flatten().zip(vertices.iter().flatten()) {
             let Some(group) = group else { continue };
             let (sum, nodes) = &mut at[group];
             *sum = [sum[0] + node[0], sum[1] + node[1]];

@@ -132,7 +132,7 @@ fn near_nodes_scatter_alike() {
         casts.iter().map(|cast| cast.shifts[a] * cast.shifts[b]).sum::<f64>() / (0.01 * count as f64)
     };
     // Groups of the ligaments between units 0, 1 and 1, 2: one spacing apart.
-    let [first, second] = [layout.groups[0][0], layout.groups[1][0]].map(Option::unwrap);
+    let [first, second] = [layout.groups.of_nodes[0][0], layout.groups.of_nodes[1][0]].map(Option::unwrap);
     for axis in 0..2 {
         let [a, b] = [2 * first + axis, 2 * second + axis];
         for (pair, asked) in [([a, a], 1.0), ([b, b], 1.0), ([a, b], (-0.5f64).exp()), ([a, b ^ 1], 0.0)] {

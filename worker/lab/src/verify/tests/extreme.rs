@@ -93,9 +93,9 @@ fn hammer(scale: f64, judged: bool) -> Extreme {
 /// Shifts that move the nodes of every second unit towards its centre; 1/100 of its area and 1/10 000 of its moment remain.
 fn slivers(layout: &Layout) -> Vec<f64> {
     let mut design = vec![0.0; layout.design_len()];
-    for (groups, [i, j]) in layout.groups.iter().zip(&layout.grid) {
+    for (groups, [i, j]) in layout.groups.of_nodes.iter().zip(&layout.grid) {
         if (i + j) % 2 == 0 {
-            let s = 0.9 * layout.half;
+            let s = 0.9 * layout.half();
             for (node, shift) in [[-s, 0.0], [0.0, -s], [s, 0.0], [0.0, s]].into_iter().enumerate() {
                 let group = groups[node].expect("a square's nodes are all part of the design");
                 design[2 * group..][..2].copy_from_slice(&shift);

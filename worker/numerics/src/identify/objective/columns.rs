@@ -45,18 +45,19 @@ impl Objective<'_> {
         self.counters += here.1;
         self.counters += there.1;
         let mut moved: Vec<f64> = there.0.iter().zip(&here.0).map(|(there, here)| there - here).collect();
-        self.whiten(&mut moved);
-        let record = self.readings * self.width();
+        self.records.whiten(&mut moved);
+        let record = self.records.size();
         moved.chunks_exact(record).map(|own| own.iter().map(|x| x * x).sum()).collect()
     }
 
     /// da/dz for at most `most` records: half of them are the most sensitive, since a few can outweigh the others; half represent the rest.
     pub fn columns(&mut self, point: &Point, most: usize) -> Columns {
         let coarse = match self.unknowns.free() {
-            0 => self.coarse.clone(),
-            _ => self.plans(&point.scene, &point.cast.design(self.design), &self.forces)[1].clone(),
+            0 => self.simulator.coarse.clone(),
+            _ => self.plans(&point.scene, &point.cast.design(self.design), &self.simulator.forces)[1].clone(),
         };
-        let mut records: Vec<usize> = (0..self.counts.len()).filter(|i| self.counts[*i]).collect();
+        let mut records: Vec<usize> =
+            (0..self.records.counts.len()).filter(|i| self.records.counts[*i]).collect();
         let mut stands = vec![1.0; records.len()];
         if most < records.len() {
             let moved = self.moved(point, &coarse);
@@ -83,16 +84,16 @@ impl Objective<'_> {
 
     /// R^{-½} da/dz, record by record, with R including the prior of the clock offsets.
     pub fn jacobian(&self, point: &Point, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
-        let record = self.readings * self.width();
+        let record = self.records.size();
         let mut slopes = point.slopes.clone();
-        self.whiten(&mut slopes);
+        self.records.whiten(&mut slopes);
         let mut jacobian = DMatrix::zeros(records.len() * record, of.len());
-        let mut whole = vec![0.0; self.recorded.len()];
+        let mut whole = vec![0.0; self.records.recorded.len()];
         for (k, column) in of.iter().enumerate() {
             for (i, own) in records.iter().zip(column.chunks(record)) {
                 whole[i * record..][..record].copy_from_slice(own);
             }
-            self.whiten(&mut whole);
+            self.records.whiten(&mut whole);
             if let Some(clock) = self.clock {
                 clock.whiten_each(&slopes, record, &mut whole);
             }
@@ -105,7 +106,7 @@ impl Objective<'_> {
     /// JᵀJ + 1, with each record weighted by the number that it represents.
     pub fn curvature(&self, point: &Point, columns: &Columns) -> DMatrix<f64> {
         let mut jacobian = self.jacobian(point, columns);
-        let record = self.readings * self.width();
+        let record = self.records.size();
         for (i, stands) in columns.stands.iter().enumerate() {
             jacobian.rows_mut(i * record, record).scale_mut(stands.sqrt());
         }

@@ -173,13 +173,14 @@ fn check_a_start(scene: &Scene, factors: [f64; 5]) {
     let found = fit((&start, &design), &forces, &signals, FIVE);
     let errors = errors(&found, scene, &start);
     let units = scene.layout.units();
-    let what = format!("{units} units, {factors:?}: {:?}, {errors:?}, {:?}", found.ending, found.misfit);
+    let what =
+        format!("{units} units, {factors:?}: {:?}, {errors:?}, {:?}", found.ending, found.measured.misfit);
     assert_eq!(found.ending, Ending::Converged, "{what}");
     assert!(
         errors.iter().take(3).chain(&errors[4..]).all(|e| e.abs() < 0.02) && errors[3].abs() < 0.1,
         "{what}"
     );
-    assert!(found.misfit[1].iter().all(|m| (2.0..4.0).contains(m)), "{what}");
+    assert!(found.measured.misfit[1].iter().all(|m| (2.0..4.0).contains(m)), "{what}");
 }
 
 /// If ligaments relax, filters of the motion explain much of the residual on left-out records; they explain no white or correlated noise.
@@ -192,7 +193,7 @@ fn what_the_model_lacks_is_told_from_noise() {
     let of = |truth: &Scene, memory: f64| {
         let signals = records(truth, &design, &forces, 0.02, memory, 5);
         let found = fit((&scene, &design), &forces, &signals, FIVE);
-        (found.unmodelled.expect("eight records"), found.misfit[1])
+        (found.unmodelled.expect("eight records"), found.measured.misfit[1])
     };
     let [known, remembered, lacking] = [of(&scene, 0.0), of(&scene, 0.7), of(&relaxing, 0.0)];
     let said = format!("{known:?} {remembered:?} {lacking:?}");
