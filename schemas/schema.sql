@@ -40,7 +40,7 @@ CREATE TABLE trial (
   created_at TEXT NOT NULL,
   finished_at TEXT,
   training TEXT,                      -- equal where trials train the same body
-  -- how holdout errors spread over samples (%): means over the networks; samples above 100 % of the network with the most
+  -- how holdout errors spread over samples (%): means over the networks; samples above 100 %, largest number of all networks
   holdout_median_initial REAL, holdout_p90_initial REAL, holdout_above_initial INTEGER,
   holdout_median_optimised REAL, holdout_p90_optimised REAL, holdout_above_optimised INTEGER
 ) STRICT;
@@ -269,7 +269,7 @@ FROM attempt a JOIN trial t ON t.id = a.trial_id JOIN spent s ON s.trial_id = a.
 
 -- a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds; holdout_median_…,
 -- holdout_p90_… and holdout_above_…: median and 90th percentile over held-out samples (%, mean over evaluation networks) and
--- the number of samples above 100 % (of the network with the most); holdout_rms_…: 10 times the square root of the held-out
+-- the number of samples above 100 % (largest of all networks); holdout_rms_…: 10 times the square root of the held-out
 -- error, which is a ratio of energies; trials with equal `training` share a body, which one of them has trained
 CREATE VIEW v_trial AS
 SELECT
@@ -346,12 +346,12 @@ FROM reading r JOIN trial t ON t.id = r.trial_id;
 -- `casts` (linear, fitted to other casts), `records` (linear, calibrated on `records` samples of this cast), `network`,
 -- `network_casts` (trained on other casts), `inverse` (the model of the design, inverted), `twin` (a twin calibrated on
 -- `records` samples of this cast, inverted), `twin_linear` (linear, fitted to that twin); the error is over the whole held-out
--- set, but for `inverse` and `twin` over its first 16 samples; `nominal_error` is the error of such a decoder on the body as
--- designed: that of the trial's own decoder (mean over its networks) for networks, inverse decoders and linear trials, else
--- that of the linear decoder of the whole sample; instants_covered and samples_covered: the part of the held-out set within the
+-- set, but for `inverse` and `twin` over its first 16 samples; `nominal_error`: error on the body as designed, of the trial's
+-- own decoder (mean over its networks) for networks, inverse decoders and linear trials, otherwise of the linear decoder of the
+-- whole sample; instants_covered and samples_covered: the part of the held-out set within the
 -- bands of the body as designed, or within the bands of an inverse decoder; median and 90th percentile (%) over held-out
--- samples, samples above 100 %, RMS error (%); λ (`ridge`) of linear decoders, also beneath stacked
--- networks, and κ (`kappa`) of linear decoders calibrated on samples of this cast
+-- samples, samples above 100 %, RMS error (%); λ (`ridge`) of linear decoders, also beneath stacked networks, and κ (`kappa`)
+-- of linear decoders calibrated on samples of this cast
 CREATE VIEW v_cast AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,

@@ -17,10 +17,10 @@ pub fn quickstart() -> String {
     table(
         &[
             "sensors M",
-            "decoder, also in training",
+            "decoder (training and evaluation)",
             "error, initial body",
             "trained body",
-            "linear decoder, initial body",
+            "linear decoder afterwards: initial body",
             "trained",
         ],
         rows.iter().map(line),
@@ -82,7 +82,7 @@ pub fn findings() -> String {
          - **Of {} claims of the paper, {} hold with every decoder that we tried, {} with some or in part.** {} fails; the others show no \
          effect or stay open. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
          [our scenes](results/DEVIATIONS.md)). In the scene that its authors published, two sensors on a trained body {against} six on an initial \
-         one, with a linear decoder ([details](results/README.md#the-authors-own-scene)). With one channel per force, a linear decoder reaches 90 % of what more sensors can gain: six forces \
+         one, with a linear decoder ([details](results/README.md#the-authors-own-scene)). With one channel per force, a linear decoder reaches 90 % of the possible reduction of the error: six forces \
          need {with} sensors, {without} without gyroscopes ([details](results/README.md#number-of-sensors-for-k-forces)).",
         spread(casts_row("initial", "casts", "")),
         spread(casts_row("nominal", "casts", "")),

@@ -44,7 +44,7 @@ pub enum Question {
     Long,
     /// Error against the number of sensors M, votes for an elbow of its logarithm, gain from the next sensor
     Sensors,
-    /// The elbow of error against M, by three methods; the smallest M with nine tenths of the fall from 100 %, within 10 % of the best, the best at a price (--price)
+    /// The elbow of error against M, by three methods; the smallest M with 90 % of the fall from 100 %, the smallest within 10 % of the least error, the best at a price per sensor (--price)
     Elbow,
     /// The fewest sensors with which the trained body has less error than the initial body with the most sensors
     Fewer,

@@ -18,8 +18,8 @@ use crate::look::{Table, row, short_hash};
 /// Computes the errors of decoders on virtual casts of a body
 ///
 /// Each cast has its own material and node positions, drawn from `[variation]`. Linear decoders estimate the forces of its
-/// held-out samples. One is fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one to
-/// these samples and to samples of the cast itself (records). The first casts are those of the trial's own comparison,
+/// held-out samples. `nominal` is fitted to the body as designed, `casts` to samples of 24 other casts, `records` to these
+/// samples and to samples of the cast itself. The first casts are those of the trial's own comparison,
 /// `v_cast`. A cast that cannot be simulated counts as 100 %.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {

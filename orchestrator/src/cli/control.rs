@@ -34,7 +34,7 @@ pub(super) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Steer {
-    /// Prints the state of the run: running, paused or stopping, busy workers, settled and pending trials
+    /// Prints the state of the run: running, paused or stopping, busy workers, finished and pending trials
     State,
     /// Stops trials after their step in progress and starts none until `resume`; workers stay idle
     Pause,

@@ -27,8 +27,8 @@ use crate::report::records::{Body, Comparison};
 
 /// Compares bodies on measured signals, with decoders fitted to the records
 ///
-/// The trial defines the panels, the sensors, the clock and the networks. Each record is predicted by networks that were
-/// not trained on it (cross-validation). If the design of a body is known, the same forces are simulated on it, the
+/// The trial defines the panels, the sensors, the clock and the decoder. Each record is estimated by decoders that were
+/// not fitted to it (cross-validation). If the design of a body is known, the same forces are simulated on it, the
 /// simulated signals are evaluated in the same way, and they are compared with the measured signals.
 /// docs/reference/measured.md describes the files of records.
 #[derive(Debug, clap::Args)]
@@ -43,11 +43,11 @@ pub(super) struct Args {
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// A twin (TOML, from `metasense lab identify --out`) of a body whose design is known. Networks trained on its simulated signals,
+    /// A twin (TOML, from `metasense lab identify --out`) of a body whose design is known. Decoders fitted to its simulated signals,
     /// or its inverse decoder, also estimate the forces of the body's records
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     twin: Vec<(String, PathBuf)>,
-    /// Number of folds; each is predicted by networks trained on all others [default: 10, at most the number of records]
+    /// Number of folds; each is estimated by decoders fitted to all others [default: 10, at most the number of records]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..), help_heading = "Networks")]
     folds: Option<u32>,
     /// The decoder [default: the trial's brain.kind]

@@ -27,7 +27,7 @@ use crate::store::npy_bytes;
 /// Fits material and twins to measured records, with 95 % intervals
 ///
 /// Starts from the values of the spec. A TOML file describes the records: forces, and the signals of the sensors under
-/// these forces. What [variation] varies beside the material is fitted, too, with its standard deviations as the prior.
+/// these forces. The other quantities in [variation] are also fitted; their standard deviations are the prior.
 /// Without [variation]: nodes 0.1 mm. Exit code 1 if the fit does not converge, or if the records do not determine all
 /// fitted parameters.
 #[derive(Debug, clap::Args)]

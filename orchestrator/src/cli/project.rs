@@ -11,7 +11,7 @@ use crate::look::{Table, row};
 
 /// Projects a design onto the nearest design that can be cast
 ///
-/// Units that `optimise.frozen` or `[feasible]` keep stay as in the initial body; shifts that `optimise.tie` ties move
+/// Units kept by `optimise.frozen` or `[feasible]` retain their initial shape; shifts that `optimise.tie` ties move
 /// together. If no feasible design is found, the result is the initial body. Without a hash: the body of all trials of the
 /// spec. Prints status, distance and the constraints at their limit. Exit code 1, and no file, if the initial body cannot be
 /// cast either.

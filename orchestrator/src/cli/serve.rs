@@ -29,7 +29,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "[IP:]PORT", default_value = "8017", value_parser = address, help_heading = "Address")]
     listen: SocketAddr,
     /// The address of these pages behind a proxy, such as https://hub.example.org/node/HOST/8017/; may be repeated. Leave
-    /// out a path that the proxy removes, as that of JupyterHub does. All pages of this host can read these pages, and
+    /// out a path that the proxy removes, as jupyter-server-proxy does. All pages of this host can read these pages, and
     /// control runs if these pages can
     #[arg(long, value_name = "URL", help_heading = "Address")]
     proxy: Vec<String>,

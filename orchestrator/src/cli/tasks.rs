@@ -18,8 +18,8 @@ use crate::reader::StoredTrial;
 /// Each quantity (task) is estimated in several ways on the held-out set. `direct`: ridge regression on the signals of the
 /// whole record, or of `brain.window` from the contact on. `network`: in a window, a small network per task. `decoded`: from
 /// the forces that a linear decoder estimates. The table has means over the trials of a setting, and the error of a predictor
-/// without signals (trivial). It also has the ratio initial / trained with its 95 % interval over seeds and placements; in it
-/// an error counts at least as half of one sample's. If bodies were trained for several tasks (brain.task), a transfer matrix
+/// without signals (trivial). It also has the ratio initial / trained with its 95 % interval over seeds and placements, in
+/// which each error is at least half the error of one sample. If bodies were trained for several tasks (brain.task), a transfer matrix
 /// follows: this ratio per task and training. Other formats have one row per trial, body, task and readout, with its window
 /// (s), a 95 % interval over samples and a score: balanced accuracy (%) of classes, R² of values. With `evaluation.casts`,
 /// rows have the mean error over casts. Classes, except decoded ones, have log loss and calibration error (%) of their

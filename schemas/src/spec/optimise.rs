@@ -54,7 +54,7 @@ pub enum Task {
     Impulse,
     /// The time at which a force first exceeds a tenth of the sample's greatest (ms).
     Onset,
-    /// The part of `stimuli.mix` that the sample has: its kind of forces.
+    /// The kind of forces of the sample: its entry of `stimuli.mix`.
     Kind,
     /// All of them that vary, except `forces`, `kind` and, with `window`, `onset`, with equal weights.
     All,
@@ -124,7 +124,7 @@ pub struct Brain {
     /// 100·(1 − R²). Default: `"forces"`.
     #[serde(skip_serializing_if = "is_default")]
     pub task: Task,
-    /// Time from the first contact on that the readout of a task sees: its answer is known this long after contact. A contact is
+    /// Duration of the signals from the first contact on that the readout of a task uses (s). A contact is
     /// the first reading above a tenth of its channel's RMS (training samples of the initial body), and above five standard
     /// deviations of its error. A sample without contact is read from its start; after its end, signals are 0. For
     /// `evaluation.tasks`, which then also trains small networks, and for tasks other than `"forces"` and `"onset"`. Unit: s.
@@ -422,8 +422,8 @@ pub struct Evaluation {
     pub seeds: Option<usize>,
     /// Learning-rate schedule of their training.
     pub schedule: Schedule,
-    /// Training samples per iteration (mini-batch). A quarter of all samples costs about a quarter of the time, with the same
-    /// errors (results/README.md). Larger values mean all samples. Default: all, as in the paper.
+    /// Training samples per iteration (mini-batch). A quarter of all samples costs about a quarter of the time.
+    /// Larger values mean all samples. Default: all, as in the paper.
     pub batch: Option<usize>,
     /// Iterations of further networks, as many as `seeds`, that are trained longer (10 000 in the paper), at most 10 000 000. In
     /// `v_network` and `v_curve` they follow the others. Default: none.

@@ -27,8 +27,8 @@ pub struct MeasuredSignals {
     /// Signal files, one per entry of `recorded.files`. Default: the same files.
     pub files: Option<Vec<PathBuf>>,
     /// Columns or arrays: a_x, a_y, ω of each sensor in turn (only the channels in `sensors.channels`), 3M in total; or one array
-    /// of shape (samples, entries, 3M) or (samples, 3M, entries). A single record has no dimension of samples. Default: all that
-    /// an NPY holds.
+    /// of shape (samples, entries, 3M) or (samples, 3M, entries). A single record has no dimension of samples. Default: all
+    /// channels of an NPY file.
     pub channels: Option<Vec<Signal>>,
     /// Clock of the signals, as a column or array. Default: `rate`; without either, the clock of the forces.
     pub time: Option<Signal>,
@@ -36,9 +36,10 @@ pub struct MeasuredSignals {
     pub rate: Option<f64>,
     /// As `recorded.header`, for `files`. Default: yes.
     pub header: Option<bool>,
-    /// As `recorded.separator`, for `files`. Default: what divides all lines alike.
+    /// As `recorded.separator`, for `files`. Default: the character that divides all lines
+    /// into equally many fields.
     pub separator: Option<Separator>,
-    /// As `recorded.decimal`, for `files`. Default: the one that its numbers have.
+    /// As `recorded.decimal`, for `files`. Default: the mark in the file's numbers.
     pub decimal: Option<Decimal>,
     /// Unit of `time`. Default: `recorded.time_unit`.
     pub time_unit: Option<TimeUnit>,
