@@ -330,8 +330,8 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol, n.
 FROM network n JOIN trial t ON t.id = n.trial_id;
 
 -- errors (%) of a linear decoder of one memory (s before and after an instant) on the initial or the trained body, for any
--- decoder of the trial; its λ (`ridge`), which the linear part of a stacked decoder shares; median, 90th percentile (%), samples
--- above 100 % and RMS error (%) on the held-out set
+-- decoder of the trial; its λ (`ridge`), in the row with the trial's memory also that of the linear part of a stacked decoder;
+-- median, 90th percentile (%), samples above 100 % and RMS error (%) on the held-out set
 CREATE VIEW v_reading AS
 SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,

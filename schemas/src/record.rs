@@ -277,7 +277,7 @@ pub struct CastReading {
     pub outcome: String,
     /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
-    /// λ of a linear decoder, also of that beneath a stacked network.
+    /// λ of a linear decoder, or of the linear part of a stacked one.
     pub ridge: Option<f64>,
     /// κ of a linear decoder calibrated on this cast: weight of a sample of other casts relative to a record.
     pub share: Option<f64>,

@@ -120,7 +120,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         print_rows(&correlations(&fit), args.format)?;
     }
     print_lines(&messages, args.format)?;
-    say!("{}, {}", duration(started_at.elapsed().as_secs_f64()), fit.solver);
+    say!("{}, {}", duration(started_at.elapsed().as_secs_f64()), fit.measured.solver);
     if let Some(folder) = &args.out_dir {
         let title = format!(
             "{}: parameters from {records} records",

@@ -15,7 +15,7 @@ use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
 use crate::reader::Reader;
 
-/// Computes the information in the signals before any decoder, which explains the gain by training
+/// Computes the information about the forces in the signals, independent of the decoder
 ///
 /// Valid for small motions about rest. Computed from the linear operator that maps the spectrum of the forces to the
 /// signals, relative to the sensors' noise (1 % of each channel's RMS on the initial body if the spec has none). The

@@ -1,5 +1,5 @@
 //! Clock for deadlines that counts only time in which the engine observes. While this process is stopped or blocked by a disk,
-//! workers must not time out: their messages were not read, or they were stopped as well.
+//! workers must not time out: their messages were not read, or they were stopped as well. `elapsed` counts all time.
 
 use std::time::{Duration, Instant};
 

@@ -1,11 +1,10 @@
-//! The database during a run: the way to its writer, and checks of its files.
+//! Queue to the database's writer, and checks of its files.
 
 use std::time::{Duration, Instant};
 
 use metasense_schemas::wire::Lease;
 use tokio::sync::mpsc;
 
-use super::steer::ReloadResult;
 use super::writer::Entry;
 use super::{Engine, Event, Events};
 use crate::store::{Level, Presence, StoreError};
@@ -16,10 +15,9 @@ const LOOK: Duration = Duration::from_secs(1);
 /// reader holds an older snapshot.
 const LOG_LARGE: u64 = 256 << 20;
 
-/// What goes to the writer, and what was heard from it.
-pub(super) struct Database {
+/// Queue to the writer, state of the database files, and the first error.
+pub(super) struct WriterLink {
     pub queue: mpsc::Sender<Entry>,
-    pub rereads: mpsc::UnboundedSender<ReloadResult>,
     /// Log lines that the writer does not have yet.
     pub pending_log: Vec<(Lease, Level, String)>,
     pub files: Files,
@@ -44,22 +42,22 @@ impl Files {
 impl Engine<'_> {
     /// Ends the run if the database files have disappeared, so that the data can be saved. Warns if the log grows large.
     pub(super) fn check_database(&mut self, events: &mut Events) {
-        if self.database.files.checked.elapsed() < LOOK {
+        if self.writer.files.checked.elapsed() < LOOK {
             return;
         }
-        self.database.files.checked = Instant::now();
-        if self.database.error.is_none()
-            && let Some(lost) = self.database.files.presence.check()
+        self.writer.files.checked = Instant::now();
+        if self.writer.error.is_none()
+            && let Some(lost) = self.writer.files.presence.check()
         {
             tracing::error!(?lost, "the database files were deleted, moved or replaced; the run ends");
             let saved = Err("the run ends".into());
-            self.database.error =
-                Some(StoreError::Lost { path: self.database.files.presence.path().to_owned(), lost, saved });
+            self.writer.error =
+                Some(StoreError::Lost { path: self.writer.files.presence.path().to_owned(), lost, saved });
             events.push_back(Event::StoreBroken);
         }
-        let bytes = self.database.files.presence.log_bytes();
-        if bytes > self.database.files.warn_at {
-            self.database.files.warn_at = 2 * bytes;
+        let bytes = self.writer.files.presence.log_bytes();
+        if bytes > self.writer.files.warn_at {
+            self.writer.files.warn_at = 2 * bytes;
             let text = format!(
                 "warning: the database's log (-wal) has grown to {} MB because another program keeps a read transaction open; it grows \
                  until that program ends",

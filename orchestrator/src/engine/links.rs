@@ -42,6 +42,8 @@ pub(super) struct Workers {
     pub link_sender: Sender<(WorkerId, LinkEvent)>,
     /// Last lease of each worker.
     pub leases: HashMap<WorkerId, Lease>,
+    /// Error messages of attempts that have not ended.
+    pub details: HashMap<Lease, String>,
     /// The last error of a worker that has no trial.
     pub last_words: String,
 }
@@ -119,9 +121,9 @@ impl Engine<'_> {
                 Some(lease) => {
                     // the first line gives the error, later ones the location
                     if !line.is_empty() {
-                        self.details.entry(*lease).or_insert_with(|| line.clone());
+                        self.workers.details.entry(*lease).or_insert_with(|| line.clone());
                     }
-                    self.database.pending_log.push((*lease, Level::Warn, line));
+                    self.writer.pending_log.push((*lease, Level::Warn, line));
                 }
                 None => self.workers.last_words = line,
             },

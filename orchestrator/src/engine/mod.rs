@@ -31,7 +31,7 @@ pub use watch::{Silent, View, Watch};
 
 use begin::Bodies;
 use clock::Clock;
-use database::{Database, Files};
+use database::{Files, WriterLink};
 use links::Workers;
 use spent::Ledger;
 use steer::PendingRequest;
@@ -141,7 +141,7 @@ pub async fn run<'a>(
 
     let mut engine = Engine {
         state,
-        plan: Plan {
+        agenda: Agenda {
             trials: trials.iter().map(|trial| Cow::Borrowed(*trial)).collect(),
             priors,
             bodies,
@@ -156,13 +156,14 @@ pub async fn run<'a>(
             link_sender,
             leases: HashMap::new(),
             last_words: String::new(),
+            details: HashMap::new(),
         },
-        database: Database { queue, rereads, files, error: None, pending_log: Vec::new() },
+        writer: WriterLink { queue, files, error: None, pending_log: Vec::new() },
         view,
-        details: HashMap::new(),
         spent: Ledger::new(),
         stale: 0,
         control,
+        rereads,
         watch,
     };
     let running = async move {
@@ -183,9 +184,9 @@ pub async fn run<'a>(
                 break outcome;
             }
         };
-        let Engine { view, state, stale, database, workers, watch, .. } = engine;
+        let Engine { view, state, stale, writer, workers, watch, .. } = engine;
         watch.end(&view, outcome);
-        match (outcome, database.error) {
+        match (outcome, writer.error) {
             (_, Some(error)) => Err(error.into()),
             (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(workers.last_words)),
             _ => Ok(Summary { outcome, stopping: state.is_stopping(), stale, view }),
@@ -207,22 +208,21 @@ impl Payload for Records {
 
 struct Engine<'a> {
     state: State,
-    plan: Plan<'a>,
+    agenda: Agenda<'a>,
     options: &'a Options,
     clock: Clock,
     workers: Workers,
-    database: Database,
+    writer: WriterLink,
     view: View,
-    /// Error messages of attempts that have not ended.
-    details: HashMap<Lease, String>,
     spent: Ledger,
     stale: usize,
     control: &'a Control,
+    rereads: mpsc::UnboundedSender<steer::ReloadResult>,
     watch: &'a mut dyn Watch,
 }
 
-/// What is to be done, and what was done before.
-struct Plan<'a> {
+/// Trials of the run, what was done of them before, and how their jobs are written.
+struct Agenda<'a> {
     trials: Vec<Cow<'a, Trial>>,
     priors: Vec<Prior>,
     bodies: Bodies,
@@ -234,7 +234,7 @@ type Events = VecDeque<Event<Records>>;
 impl Engine<'_> {
     /// Whether the writer's queue is less than half full.
     fn has_room(&self) -> bool {
-        self.database.queue.capacity() > QUEUE / 2
+        self.writer.queue.capacity() > QUEUE / 2
     }
 
     /// Passes the events to the scheduler and carries out its actions. Returns the outcome when the run is over.
@@ -262,9 +262,9 @@ impl Engine<'_> {
                 self.spent.begin(lease, worker, &self.workers.fleet);
                 self.record(QueuedRecord::Begin(lease)).await;
                 self.view.forecast.assigned(lease.trial, self.clock.elapsed());
-                let prior = self.plan.priors[lease.trial as usize];
-                if prior.steps.is_some() || self.plan.bodies.begun.contains(&prior.body) {
-                    let pause = self.plan.trials[lease.trial as usize].pause;
+                let prior = self.agenda.priors[lease.trial as usize];
+                if prior.steps.is_some() || self.agenda.bodies.begun.contains(&prior.body) {
+                    let pause = self.agenda.trials[lease.trial as usize].pause;
                     self.record(QueuedRecord::Load(worker, lease, pause)).await;
                 } else {
                     self.view.forecast.goes_on(lease.trial, 0, true);
@@ -272,17 +272,17 @@ impl Engine<'_> {
                 }
             }
             Action::RecordStep(lease, (record, checkpoint)) => {
-                let prior = &mut self.plan.priors[lease.trial as usize];
+                let prior = &mut self.agenda.priors[lease.trial as usize];
                 prior.steps = Some(checkpoint.step);
-                self.plan.bodies.begun.insert(prior.body);
+                self.agenda.bodies.begun.insert(prior.body);
                 self.view.steps += 1;
                 self.view.forecast.stepped(lease.trial, self.clock.elapsed());
-                self.watch.step(&self.plan.trials[lease.trial as usize], &record);
+                self.watch.step(&self.agenda.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
                 self.record(QueuedRecord::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, (result, arrays)) => {
-                self.details.remove(&lease);
+                self.workers.details.remove(&lease);
                 // counts as done once it is on disk
                 self.view.forecast.returned(lease.trial, true, self.clock.elapsed());
                 self.view.forecast.settled(lease.trial);
@@ -295,7 +295,7 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
-                let trial = &*self.plan.trials[lease.trial as usize];
+                let trial = &*self.agenda.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.clock.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
                 let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
@@ -311,7 +311,7 @@ impl Engine<'_> {
                     }
                     _ => tracing::warn!(hash, attempt, %reason, "the attempt failed; the trial is retried"),
                 }
-                let text = match self.details.remove(&lease) {
+                let text = match self.workers.details.remove(&lease) {
                     Some(detail) => format!("{reason}: {detail}"),
                     None => reason.to_string(),
                 };
@@ -325,7 +325,7 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Failure(lease, reason, settled && reason != Reason::Paused)).await;
             }
             Action::RecordCancelled(lease) => {
-                let trial = &*self.plan.trials[lease.trial as usize];
+                let trial = &*self.agenda.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.clock.elapsed());
                 tracing::info!(trial.hash, "the trial was cancelled before an attempt");
                 self.record(QueuedRecord::Cancelled(lease)).await;
@@ -361,13 +361,13 @@ impl Engine<'_> {
 
     /// Queues an entry; waits while the queue is full. Does nothing after the store has failed.
     async fn enqueue(&mut self, entry: Entry) {
-        if self.database.error.is_none() {
-            let _ = self.database.queue.send(entry).await;
+        if self.writer.error.is_none() {
+            let _ = self.writer.queue.send(entry).await;
         }
     }
 
     async fn record_said(&mut self) {
-        for (lease, level, text) in std::mem::take(&mut self.database.pending_log) {
+        for (lease, level, text) in std::mem::take(&mut self.writer.pending_log) {
             self.record(QueuedRecord::Log(lease, level, text)).await;
         }
         if self.has_room() {
@@ -384,10 +384,10 @@ impl Engine<'_> {
     }
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
-        let trial = &*self.plan.trials[lease.trial as usize];
+        let trial = &*self.agenda.trials[lease.trial as usize];
         let job = ToWorker::Job {
             lease,
-            work: (self.plan.work)(trial),
+            work: (self.agenda.work)(trial),
             checkpoint: checkpoint.map(Box::new),
             threads: self.options.threads,
             pause: trial.pause,
@@ -407,7 +407,7 @@ impl Engine<'_> {
                     process::FILE_SIZE => Some(Reason::Shortage),
                     _ => None,
                 };
-                self.details.insert(lease, error.to_string());
+                self.workers.details.insert(lease, error.to_string());
                 self.workers.fleet.kill(worker);
             }
         }
@@ -448,8 +448,11 @@ impl Engine<'_> {
             }
             ToOrchestrator::Hello { .. } => Event::Up(worker),
             ToOrchestrator::Step(lease, record, checkpoint) => {
-                let steps =
-                    self.plan.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
+                let steps = self
+                    .agenda
+                    .trials
+                    .get(lease.trial as usize)
+                    .map_or(1, |trial| trial.spec.optimise.steps());
                 let trained = checkpoint.step as usize >= steps.max(1);
                 Event::Step(worker, lease, trained, (record, Arc::from(checkpoint)))
             }
@@ -464,14 +467,14 @@ impl Engine<'_> {
                 Event::Finished(worker, lease, (result, arrays))
             }
             ToOrchestrator::Failed(lease, reason, detail) => {
-                let trial = self.plan.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
+                let trial = self.agenda.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
                 tracing::error!(trial, lease.attempt, %reason, detail, "the worker reported a failure of the trial");
-                self.details.insert(lease, detail);
+                self.workers.details.insert(lease, detail);
                 Event::Failed(worker, lease, reason)
             }
             ToOrchestrator::Stopped(lease) => {
-                let due = self.plan.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
-                let done = self.plan.priors.get(lease.trial as usize).and_then(|prior| prior.steps);
+                let due = self.agenda.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
+                let done = self.agenda.priors.get(lease.trial as usize).and_then(|prior| prior.steps);
                 let paused = due.zip(done).is_some_and(|(due, done)| done >= due);
                 Event::Failed(worker, lease, if paused { Reason::Paused } else { Reason::Stopped })
             }
@@ -483,21 +486,21 @@ impl Engine<'_> {
             WriterEvent::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
             WriterEvent::Done(lease, result) => {
                 self.view.done += 1;
-                self.watch.done(&self.plan.trials[lease.trial as usize], &result);
+                self.watch.done(&self.agenda.trials[lease.trial as usize], &result);
                 events.push_back(Event::Recorded(lease, RecordKind::Result));
             }
             WriterEvent::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
-                    let trial = &*self.plan.trials[lease.trial as usize];
+                    let trial = &*self.agenda.trials[lease.trial as usize];
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
                     let text = format!("restarted, because the checkpoint cannot be used: {why}");
-                    self.database.pending_log.push((lease, Level::Warn, text));
+                    self.writer.pending_log.push((lease, Level::Warn, text));
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
                     let step = checkpoint.as_ref().map(|checkpoint| checkpoint.step);
-                    self.plan.priors[lease.trial as usize].steps = step;
+                    self.agenda.priors[lease.trial as usize].steps = step;
                     let whole = checkpoint.as_ref().is_none_or(|checkpoint| checkpoint.comparison.is_none());
                     self.view.forecast.goes_on(lease.trial, step.unwrap_or(0), whole);
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
@@ -506,7 +509,7 @@ impl Engine<'_> {
             WriterEvent::Planned(fresh, request) => self.planned(fresh, request, events),
             WriterEvent::Broken(error) => {
                 tracing::error!(%error, "the database failed; the run ends");
-                self.database.error = Some(error);
+                self.writer.error = Some(error);
                 events.push_back(Event::StoreBroken);
             }
         }

@@ -34,14 +34,14 @@ impl Engine<'_> {
             Command::Stop => Steer::Stop,
             Command::Workers(count) => Steer::Workers(*count),
             Command::Cancel(hash) | Command::Next(hash) => {
-                match position_of(hash, self.plan.trials.iter().map(|trial| trial.hash.as_str())) {
+                match position_of(hash, self.agenda.trials.iter().map(|trial| trial.hash.as_str())) {
                     Ok(at) if matches!(request.command, Command::Next(_)) => Steer::Next(at as u32),
                     Ok(at) => Steer::Cancel(at as u32),
                     Err(why) => return self.answer(request, false, why.to_string()),
                 }
             }
             Command::Reload => {
-                let (reread, read) = (Arc::clone(&self.control.reread), self.database.rereads.clone());
+                let (reread, read) = (Arc::clone(&self.control.reread), self.rereads.clone());
                 // Reading 10⁵ trials takes seconds. If the receiver is gone, the run has ended, and the client gets that
                 // answer.
                 drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), request)))));
@@ -63,7 +63,7 @@ impl Engine<'_> {
     pub(super) fn planned(&mut self, fresh: NewTrials, request: Request, events: &mut super::Events) {
         let mut asker = PendingRequest { request, note: String::new() };
         let own: HashSet<&str> = fresh.plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
-        let vanished = self.plan.trials.iter().filter(|trial| !own.contains(trial.hash.as_str())).count();
+        let vanished = self.agenda.trials.iter().filter(|trial| !own.contains(trial.hash.as_str())).count();
         if fresh.settled > 0 {
             asker.note += &format!("; finished before: {}", fresh.settled);
         }
@@ -73,13 +73,13 @@ impl Engine<'_> {
         let mut priors = Vec::new();
         for (place, known) in fresh.trials {
             let trial: &Trial = &fresh.plan.trials[place];
-            let prior = self.plan.bodies.prior(trial, known, fresh.bodies.get(&trial.training));
+            let prior = self.agenda.bodies.prior(trial, known, fresh.bodies.get(&trial.training));
             priors.push(prior);
             begin::show(&mut self.view, trial, &prior);
-            self.plan.trials.push(Cow::Owned(trial.clone()));
+            self.agenda.trials.push(Cow::Owned(trial.clone()));
         }
         self.control.plans.borrow_mut().push(fresh.plan);
-        self.plan.priors.extend(&priors);
+        self.agenda.priors.extend(&priors);
         events.push_back(Event::Steer(Steer::Add(priors), asker));
     }
 

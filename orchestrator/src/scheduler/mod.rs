@@ -88,7 +88,7 @@ pub struct State {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
-    waiting: Waiting,
+    queues: Queues,
     slots: Vec<Slot>,
     bodies: Bodies,
     unsettled: usize,
@@ -99,20 +99,20 @@ pub struct State {
     ended: bool,
 }
 
-/// Trials that wait.
+/// Trials that wait:
 #[derive(Debug, Clone, Default)]
-struct Waiting {
-    /// For a worker or for their body, by rank, then in the order of the plan.
+struct Queues {
+    /// for a worker or for their body, by rank, then in the order of the plan.
     ready: BTreeSet<(i64, u32)>,
-    /// For a time.
+    /// for a time.
     delayed: BTreeSet<(Millis, u32)>,
 }
 
-/// A request to stop.
+/// Whether the run stops, and why.
 #[derive(Debug, Clone, Copy, Default)]
 struct Stop {
     stage: Stopping,
-    /// Time of the request.
+    /// Time of the first interrupt; 0 if the database failed first.
     since: Millis,
 }
 
@@ -210,7 +210,7 @@ impl State {
             if prior.trained {
                 self.bodies.trained(prior.body);
             }
-            self.waiting.ready.insert((trial.rank(), number));
+            self.queues.ready.insert((trial.rank(), number));
             self.trials.push(trial);
         }
         self.unsettled += priors.len();
@@ -247,7 +247,7 @@ impl State {
 
     /// Number of trials that wait for a worker.
     pub fn waiting(&self) -> usize {
-        self.waiting.ready.len() + self.waiting.delayed.len()
+        self.queues.ready.len() + self.queues.delayed.len()
     }
 
     /// Number of workers that have a trial.
@@ -288,7 +288,7 @@ impl State {
     /// Trials that may be assigned, in order: those whose body no other trial is training.
     fn assignable(&self) -> impl Iterator<Item = (i64, u32)> {
         let waits = |number: u32| self.bodies.is_in_training(self.trials[number as usize].body);
-        self.waiting.ready.iter().copied().filter(move |(_, number)| !waits(*number))
+        self.queues.ready.iter().copied().filter(move |(_, number)| !waits(*number))
     }
 
     /// Notes progress of a worker.
@@ -338,11 +338,11 @@ impl State {
 
     fn clock<P: Payload>(&mut self, now: Millis, out: &mut Vec<Action<P>>) {
         self.now = self.now.max(now);
-        while let Some(&(until, trial)) = self.waiting.delayed.first()
+        while let Some(&(until, trial)) = self.queues.delayed.first()
             && until <= self.now
         {
-            self.waiting.delayed.pop_first();
-            self.waiting.ready.insert((self.trials[trial as usize].rank(), trial));
+            self.queues.delayed.pop_first();
+            self.queues.ready.insert((self.trials[trial as usize].rank(), trial));
         }
         let (now, settings) = (self.now, &self.settings);
         let waited_out = self.stop.stage != Stopping::No && now > self.stop.since + settings.grace;
@@ -417,7 +417,7 @@ impl State {
         } else {
             trial.phase = Phase::Pending;
             let wait = if deaths == 0 { 0 } else { self.settings.backoff(deaths) };
-            self.waiting.delayed.insert((self.now + wait, lease.trial));
+            self.queues.delayed.insert((self.now + wait, lease.trial));
         }
         if !shortage {
             self.shortage.relieved(self.now, self.settings.retries);
@@ -483,7 +483,7 @@ impl State {
             with_workers(&mut self.slots).filter(|(_, slot)| may(slot)).map(|(worker, _)| worker).collect();
         for worker in idle.into_iter().take_while(|_| self.unrecorded < UNRECORDED_MAX) {
             let Some((rank, number)) = self.assignable().next() else { return };
-            self.waiting.ready.remove(&(rank, number));
+            self.queues.ready.remove(&(rank, number));
             let trial = &mut self.trials[number as usize];
             trial.attempt += 1;
             trial.phase = Phase::Running(worker);
@@ -501,8 +501,7 @@ impl State {
             return;
         }
         let Some(room) = usize::try_from(self.room()).ok().filter(|room| *room > 0) else { return };
-        let free =
-            self.assignable().take(self.settings.workers as usize).count() + self.waiting.delayed.len();
+        let free = self.assignable().take(self.settings.workers as usize).count() + self.queues.delayed.len();
         let coming = self.slots.iter().filter(|slot| slot.is_free()).count();
         let mut wanted = free.saturating_sub(coming).min(room);
         for (slot, number) in self.slots.iter_mut().zip(0..) {

@@ -122,9 +122,9 @@ impl State {
         match self.trials[number as usize].phase {
             Phase::Pending => {
                 self.dequeue(number);
-                let first = self.waiting.ready.first().map_or(0, |(rank, _)| *rank).min(0) - 1;
+                let first = self.queues.ready.first().map_or(0, |(rank, _)| *rank).min(0) - 1;
                 self.trials[number as usize].first = Some(first);
-                self.waiting.ready.insert((first, number));
+                self.queues.ready.insert((first, number));
                 SteerAnswer::Next(self.bodies.is_in_training(self.trials[number as usize].body))
             }
             other => SteerAnswer::Refused(SteerRefusal::of(other)),
@@ -133,8 +133,8 @@ impl State {
 
     /// Removes a pending trial from its queue.
     fn dequeue(&mut self, number: u32) {
-        self.waiting.ready.remove(&(self.trials[number as usize].rank(), number));
-        self.waiting.delayed.retain(|(_, trial)| *trial != number);
+        self.queues.ready.remove(&(self.trials[number as usize].rank(), number));
+        self.queues.delayed.retain(|(_, trial)| *trial != number);
     }
 
     /// Sets the number of workers. Slots that were given up are tried again.

@@ -467,8 +467,8 @@ impl World {
             }
         }
         for (trial, number) in self.state.trials.iter().zip(0u32..) {
-            let waits = self.state.waiting.ready.iter().any(|&(_, t)| t == number)
-                || self.state.waiting.delayed.iter().any(|&(_, t)| t == number);
+            let waits = self.state.queues.ready.iter().any(|&(_, t)| t == number)
+                || self.state.queues.delayed.iter().any(|&(_, t)| t == number);
             match trial.phase {
                 Phase::Pending => assert!(waits && !held.contains(&number), "trial {number} is lost"),
                 Phase::Running(_) => assert!(!waits && held.contains(&number), "trial {number} is lost"),

@@ -159,7 +159,7 @@ fn what_is_to_be_next_goes_first() {
     up(&mut state, Event::Lost(id(0), Reason::WorkerKilled(11)));
     let (answer, _) = steer(&mut state, Steer::Next(0));
     assert_eq!(answer, SteerAnswer::Next(false));
-    assert!(matches!(state.phase(0), Phase::Running(_)) || state.waiting.ready.first() == Some(&(-1, 0)));
+    assert!(matches!(state.phase(0), Phase::Running(_)) || state.queues.ready.first() == Some(&(-1, 0)));
     // with one body for all trials, the second waits until the first has trained it
     let mut state = run_of(&[Prior { trained: false, ..ALONE }; 3], 2);
     assert_eq!(steer(&mut state, Steer::Next(2)).0, SteerAnswer::Next(true));

@@ -292,7 +292,7 @@ impl Layout {
         self.centres.len()
     }
 
-    /// h (mm): half of the distance of reference points that is not ligament.
+    /// h = (spacing − ligament length)/2 (mm).
     pub fn half(&self) -> f64 {
         0.5 * (self.spacing - self.ligament_length)
     }

@@ -10,6 +10,6 @@ mod rigid;
 
 pub use freedom::Freedom;
 pub use geometry::{Geometry, edges, moments, void_angles_vjp};
-pub use layout::{GroupCell, Layout, Ligament};
+pub use layout::{GroupCell, Groups, Layout, Ligament};
 pub use pattern::{End, Pattern};
 pub use rigid::{FollowRule, Follower};

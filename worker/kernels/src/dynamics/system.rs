@@ -64,7 +64,7 @@ pub struct ForceCotangent<'a, V: Vector> {
 }
 
 /// Ligaments in the scalar type of the lanes.
-struct Bars<S> {
+struct BarSets<S> {
     all: Vec<Bar<S>>,
     /// Those of driven units.
     driven: Vec<Bar<S>>,
@@ -81,7 +81,7 @@ pub struct System<'a, V: Vector> {
     pub damping: [f64; 3],
     /// Whether to compute the cotangent of `damping`.
     pub damping_asked: bool,
-    bars: Bars<V::Scalar>,
+    bars: BarSets<V::Scalar>,
     /// Force and moment on the unit per newton on each panel.
     strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
@@ -114,7 +114,7 @@ impl<'a, V: Vector> System<'a, V> {
             kernels,
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
-            bars: Bars {
+            bars: BarSets {
                 all: model.bars.iter().map(Bar::rounded).collect(),
                 driven: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
             },
@@ -135,7 +135,7 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Ligaments in the scalar type of the lanes.
+    /// All ligaments.
     #[inline(always)]
     pub fn bars(&self) -> &[Bar<V::Scalar>] {
         &self.bars.all

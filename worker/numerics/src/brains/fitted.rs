@@ -213,6 +213,10 @@ impl FittedDecoder for LinearDecoder<'_> {
         Some(fitted.map(|fitted| self.fitted = Some(fitted)))
     }
 
+    fn ridge(&self) -> Option<f64> {
+        self.fitted.as_ref().map(|fitted| fitted.ridge)
+    }
+
     fn predict(&mut self, signals: &[f64]) -> Vec<f64> {
         self.fitted().predict(signals)
     }

@@ -111,7 +111,7 @@ pub(crate) trait FittedDecoder {
         Vec::new()
     }
 
-    /// λ of the linear decoders beneath a stacked network.
+    /// λ of a linear decoder, or of the linear part of a stacked one.
     fn ridge(&self) -> Option<f64> {
         None
     }

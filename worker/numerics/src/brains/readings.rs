@@ -86,7 +86,7 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     Ok(found)
 }
 
-/// Errors of the trial's own linear decoder; appended to [`readings`] if missing there.
+/// Errors of the trial's own linear decoder; added to [`readings`], or in place of the one of equal memory.
 ///
 /// # Errors
 /// If no λ gives a solution.
@@ -106,8 +106,11 @@ pub(crate) fn own_reading(
             reading(sets, &solve(normal, ridge)?.linear(), ridge)
         }
     };
-    if readings.iter().all(|reading| reading.lags != own.lags) {
-        readings.push(own);
+    match readings.iter().position(|reading| reading.lags == own.lags) {
+        None => readings.push(own),
+        // the first remains that of the whole sample with the λ of cross-validation
+        Some(0) => (),
+        Some(i) => readings[i] = own,
     }
     Ok(own)
 }

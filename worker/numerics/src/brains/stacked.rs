@@ -22,7 +22,7 @@ pub(crate) struct Stack {
     known: ScaledSamples,
     /// Scales of the linear decoders; the network may have others.
     scales: Scales,
-    /// λ of all of them.
+    /// λ of these decoders.
     pub(crate) ridge: f64,
 }
 

@@ -175,7 +175,7 @@ impl Fit {
             let squares: f64 = left.iter().zip(&known).map(|(left, known)| (left / known).powi(2)).sum();
             (squares / left.len() as f64).sqrt()
         });
-        self.twin.noise.clone_from(&objective.records.noise);
+        self.twin.noise.clone_from(&objective.readings.noise);
         self.twin.cast = unknowns.cast(point.z.as_slice());
         let covariance = covariance(objective.curvature(point, columns));
         let of = |(k, &unknown): (usize, &Unknown)| Estimate {

@@ -177,10 +177,8 @@ pub struct Fit {
     pub undetermined: Vec<Direction>,
     /// Correlations of the free parameters' estimates; 0 with parameters that are not identifiable.
     pub correlation: Vec<Vec<f64>>,
-    /// Measured records only.
+    /// Start values unless records are measured.
     pub measured: MeasuredFit,
-    /// Integration method; measured records only.
-    pub solver: String,
     /// Number of steps.
     pub steps: usize,
     /// Cost of the simulations.
@@ -196,8 +194,10 @@ pub struct MeasuredFit {
     pub residual: [f64; 2],
     /// Simulated readings (N, T, channels) at the start and at the end.
     pub signals: [Vec<f64>; 2],
-    /// Iterations.
+    /// State of the fit after each iteration.
     pub iterations: Vec<Iteration>,
+    /// Integration method.
+    pub solver: String,
 }
 
 /// Largest factor between a free parameter and its value in the spec.
@@ -227,8 +227,8 @@ impl Fit {
                 residual: [0.0; 2],
                 signals: [Vec::new(), Vec::new()],
                 iterations: Vec::new(),
+                solver: String::new(),
             },
-            solver: String::new(),
             steps: 0,
             counters: Counters::default(),
         }
@@ -293,7 +293,7 @@ impl Fit {
         let variation = problem.variation.unwrap_or(Variation::USUAL);
         let unknowns = Unknowns::of_records(&problem.scene, &variation, free, pool);
         let mut fit = Self::begun(&unknowns);
-        fit.solver = tuned.reason;
+        fit.measured.solver = tuned.reason;
         let mut objective =
             Objective::new(problem, chip.as_ref(), design, records, unknowns, &tuned.solver, pool);
         objective.counters += tuned.counters;

@@ -20,10 +20,10 @@ const GLANCE: f64 = 0.02;
 const COARSE: Accuracy = Accuracy(3e-2);
 
 mod columns;
-mod records;
+mod readings;
 
 pub use columns::Columns;
-use records::Records;
+use readings::Readings;
 
 /// z, its simulation and its cost.
 pub struct Point {
@@ -42,18 +42,17 @@ pub struct Point {
     slopes: Vec<f64>,
 }
 
-/// The mean squares of whitened residuals and of unknowns, for one body and its records.
+/// F(z): half the sum of squares of whitened residuals, of clock offsets relative to their deviation, and of unknowns.
 pub struct Objective<'a> {
     problem: &'a Problem,
     design: &'a [f64],
-    chip: Option<&'a Chip>,
     pool: &'a crate::Pool,
     /// Set if the records' clocks are uncertain.
     clock: Option<Clock>,
     pub unknowns: Unknowns,
     /// Number of unknowns, from the first, that are fitted.
     pub moves: usize,
-    pub records: Records<'a>,
+    pub readings: Readings<'a>,
     simulator: Simulator,
     pub counters: Counters,
 }
@@ -81,7 +80,7 @@ impl<'a> Objective<'a> {
         problem: &'a Problem,
         chip: Option<&'a Chip>,
         design: &'a [f64],
-        (forces, recordings, deviation): (&'a Forces, &'a [f64], f64),
+        (forces, recordings, deviation): super::Records<'a>,
         unknowns: Unknowns,
         solver: &Solver,
         pool: &'a crate::Pool,
@@ -91,12 +90,11 @@ impl<'a> Objective<'a> {
         let mut objective = Self {
             problem,
             design,
-            chip,
             pool,
             clock: None,
             moves: unknowns.all().len(),
             unknowns,
-            records: Records::new(recordings, deviation, &problem.scene, forces, chip, width),
+            readings: Readings::new(recordings, deviation, &problem.scene, forces, chip, width),
             simulator: Simulator {
                 whole: (problem.scene.clone(), forces.clone()),
                 whole_sharper: sharper.clone(),
@@ -120,7 +118,7 @@ impl<'a> Objective<'a> {
         let (problem, solver) = (self.problem, solver.in_equal_steps());
         let (least, delay) = problem.clock_and_delay();
         self.clock =
-            Clock::new(self.records.deviation, delay, least, (body, design), forces, &solver, self.pool);
+            Clock::new(self.readings.deviation, delay, least, (body, design), forces, &solver, self.pool);
         if let Some(clock) = self.clock {
             self.simulator.whole = clock.in_motion(&problem.scene, forces);
             self.simulator.whole_sharper = clock.in_motion(&problem.scene, &sharper(forces)).1;
@@ -161,24 +159,18 @@ impl<'a> Objective<'a> {
         let cast = self.unknowns.cast(&vec![0.0; self.unknowns.all().len()]);
         let found = self.simulate(&self.simulator.plan, &cast, &self.simulator.forces, false);
         self.counters += found.counters;
-        self.records.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
-        self.see();
-        self.records.counted()
+        self.readings.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
+        self.readings.see();
+        self.readings.counted()
     }
 
     /// Sets the window: `window` instants of each record from its onset, plus the margin for late clocks.
     pub fn look_at(&mut self, window: usize) {
         let (finer, margin) = self.clock.map_or((1, 0), |clock| (clock.finer, clock.margin()));
-        self.records.look_at(window, margin, self.instants());
-        let (to, instants) = (&mut self.simulator, finer * self.records.instants);
+        self.readings.look_at(window, margin, self.instants());
+        let (to, instants) = (&mut self.simulator, finer * self.readings.instants);
         (to.scene, to.forces) = to.whole.1.beginning(&to.whole.0, instants);
         to.sharper = to.whole_sharper.beginning(&to.whole.0, instants).1;
-        self.see();
-    }
-
-    /// Selects the readings that count.
-    fn see(&mut self) {
-        self.records.see(self.clock.map_or(0, |clock| clock.margin()), self.chip);
     }
 
     fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
@@ -216,7 +208,7 @@ impl<'a> Objective<'a> {
         let mut simulation = self.simulate(&plan, &cast, &forces, true);
         self.counters += simulation.counters;
         let well = |(outcome, counts): (&Outcome, &bool)| !counts || *outcome == Outcome::Ok;
-        if !simulation.outcomes.iter().zip(&self.records.counts).all(well) {
+        if !simulation.outcomes.iter().zip(&self.readings.counts).all(well) {
             return None;
         }
         let mut felt = std::mem::take(&mut simulation.signals);
@@ -227,14 +219,14 @@ impl<'a> Objective<'a> {
     }
 
     fn cost(&self, point: &Point) -> f64 {
-        let misfit: f64 = self.records.residual(&point.read).iter().map(|r| r * r).sum();
-        let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.records.deviation).powi(2)).sum();
+        let misfit: f64 = self.readings.residual(&point.read).iter().map(|r| r * r).sum();
+        let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.readings.deviation).powi(2)).sum();
         0.5 * (misfit + clocks + point.z.norm_squared())
     }
 
     /// Updates readings, clock offsets and cost for the present weights.
     pub fn again(&self, mut point: Point) -> Point {
-        let (samples, width) = (self.simulator.forces.samples, self.records.width());
+        let (samples, width) = (self.simulator.forces.samples, self.readings.width());
         let Some(clock) = self.clock else {
             if point.read.is_empty() {
                 point.read = self.problem.read(point.felt.clone(), samples);
@@ -242,10 +234,10 @@ impl<'a> Objective<'a> {
             return Point { cost: self.cost(&point), ..point };
         };
         let felt = self.problem.low_pass_channels(point.felt.clone(), samples, clock.finer);
-        let record = self.records.size();
+        let record = self.readings.size();
         let of = |(i, felt): (usize, &[f64])| {
-            let whiten = |own: &mut [f64]| self.records.whiten_record(i, own);
-            let offset = clock.settle(felt, &self.records.recorded[i * record..][..record], width, &whiten);
+            let whiten = |own: &mut [f64]| self.readings.whiten_record(i, own);
+            let offset = clock.settle(felt, &self.readings.recorded[i * record..][..record], width, &whiten);
             (offset, clock.read(felt, width, offset, 0), clock.slope(felt, width, offset))
         };
         let each = felt.par_chunks_exact(record * clock.finer).enumerate();
@@ -260,27 +252,27 @@ impl<'a> Objective<'a> {
     fn read(&self, felt: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read(felt, samples) };
         let (felt, width) =
-            (self.problem.low_pass_channels(felt, samples, clock.finer), self.records.width());
-        let each = felt.chunks_exact(self.records.size() * clock.finer).zip(offsets);
+            (self.problem.low_pass_channels(felt, samples, clock.finer), self.readings.width());
+        let each = felt.chunks_exact(self.readings.size() * clock.finer).zip(offsets);
         each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect()
     }
 
     /// Transpose of `read`.
     fn read_vjp(&self, cotangent: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read_vjp(cotangent, samples) };
-        let width = self.records.width();
-        let each = cotangent.chunks_exact(self.records.size()).zip(offsets);
+        let width = self.readings.width();
+        let each = cotangent.chunks_exact(self.readings.size()).zip(offsets);
         let felt = each.flat_map(|(own, offset)| clock.read_vjp(own, width, *offset)).collect();
         self.problem.low_pass_channels_vjp(felt, samples, clock.finer)
     }
 
     /// For the records listed: readings (n, window, channels), R^{-½}(y − a), and the same with R including the clock offsets' prior.
     pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 3] {
-        let record = self.records.size();
+        let record = self.readings.size();
         let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
-        let left = self.records.residual(&point.read);
+        let left = self.readings.residual(&point.read);
         let (mut before, mut slopes) = (left.clone(), point.slopes.clone());
-        self.records.whiten(&mut slopes);
+        self.readings.whiten(&mut slopes);
         if let Some(clock) = self.clock {
             clock.whiten_residual(&slopes, &point.offsets, record, &mut before);
         }
@@ -298,21 +290,21 @@ impl<'a> Objective<'a> {
     ) -> Vec<Option<Offset>> {
         let Some(clock) = self.clock else { return Vec::new() };
         let (record, left, mut slopes) =
-            (self.records.size(), self.records.residual(&point.read), point.slopes.clone());
-        self.records.whiten(&mut slopes);
+            (self.readings.size(), self.readings.residual(&point.read), point.slopes.clone());
+        self.readings.whiten(&mut slopes);
         let of = |i: usize| {
             let at = columns.records.iter().position(|of| *of == i)?;
             let (own, rows) = (i * record..(i + 1) * record, jacobian.rows(at * record, record).into_owned());
             let both = [&slopes[own.clone()], &left[own]];
             Some(clock.offset(point.offsets[i], both, &rows, covariance, unmodelled))
         };
-        (0..self.records.counts.len()).map(of).collect()
+        (0..self.readings.counts.len()).map(of).collect()
     }
 
     /// dF/dz of the fitted unknowns.
     pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
-        let mut cotangent = self.records.residual(&point.read);
-        self.records.whiten(&mut cotangent);
+        let mut cotangent = self.readings.residual(&point.read);
+        self.readings.whiten(&mut cotangent);
         cotangent.iter_mut().for_each(|bar| *bar = -*bar);
         let mut by_difference = Vec::new();
         for k in 0..self.moves {
@@ -336,22 +328,22 @@ impl<'a> Objective<'a> {
 
     /// Noise per channel of the chips; `None` unless all channels have noise.
     pub fn known_noise(&self) -> Option<Vec<f64>> {
-        self.chip.map(Chip::deviations).filter(|all| all.iter().all(|noise| *noise > 0.0))
+        self.readings.chip.map(Chip::deviations).filter(|all| all.iter().all(|noise| *noise > 0.0))
     }
 
     /// Noise per channel: RMS of the residual, and its lower bound from the chips' noise and the integration error.
     pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
-        let width = self.records.width();
-        let mut left = self.records.residual(&point.read);
-        left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.records.noise[i % width]);
+        let width = self.readings.width();
+        let mut left = self.readings.residual(&point.read);
+        left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.readings.noise[i % width]);
         let seen =
-            |c: usize| self.records.seen[c..].iter().step_by(width).filter(|seen| **seen).count() as f64;
+            |c: usize| self.readings.seen[c..].iter().step_by(width).filter(|seen| **seen).count() as f64;
         let rms = |of: &[f64], c: usize, n: f64| {
             (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1.0)).sqrt()
         };
-        let instants = (self.records.recorded.len() / width) as f64;
-        let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviations);
-        let least = |c: usize| chip[c].max(self.simulator.least * rms(&self.records.recorded, c, instants));
+        let instants = (self.readings.recorded.len() / width) as f64;
+        let chip = self.readings.chip.map_or_else(|| vec![0.0; width], Chip::deviations);
+        let least = |c: usize| chip[c].max(self.simulator.least * rms(&self.readings.recorded, c, instants));
         [(0..width).map(|c| rms(&left, c, seen(c))).collect(), (0..width).map(least).collect()]
     }
 
@@ -360,9 +352,9 @@ impl<'a> Objective<'a> {
         let [left, least] = self.noises(point);
         let noise = left.iter().zip(&least).map(|(left, least)| left.max(*least));
         let noise: Vec<f64> = noise.map(|noise| if noise > 0.0 { noise } else { 1.0 }).collect();
-        let changed = noise.iter().zip(&self.records.noise).map(|(now, before)| (now / before - 1.0).abs());
+        let changed = noise.iter().zip(&self.readings.noise).map(|(now, before)| (now / before - 1.0).abs());
         let changed = changed.fold(0.0, f64::max);
-        self.records.noise = noise;
+        self.readings.noise = noise;
         changed
     }
 
@@ -401,7 +393,7 @@ impl<'a> Objective<'a> {
 
     /// Length of the window (s).
     pub fn seconds(&self) -> f64 {
-        self.records.window as f64 * self.problem.scene.duration / self.instants() as f64
+        self.readings.window as f64 * self.problem.scene.duration / self.instants() as f64
     }
 
     /// Readings per whole record.
@@ -416,11 +408,11 @@ impl<'a> Objective<'a> {
 
     /// First window: the shortest that contains a fraction `GLANCE` of the energy.
     pub fn first_window(&self) -> usize {
-        let (width, instants) = (self.records.width(), self.instants());
+        let (width, instants) = (self.readings.width(), self.instants());
         let mut energy = vec![[0.0; 2]; instants + 1];
-        for (i, &onset) in self.records.onsets.iter().enumerate() {
+        for (i, &onset) in self.readings.onsets.iter().enumerate() {
             for n in onset..instants {
-                let at = &self.records.all[(i * instants + n) * width..][..width];
+                let at = &self.readings.all[(i * instants + n) * width..][..width];
                 at.iter().enumerate().for_each(|(c, y)| energy[n - onset + 1][self.kind(c)] += y * y);
             }
         }
@@ -439,9 +431,9 @@ impl<'a> Objective<'a> {
     /// RMS residual of accelerations and rotation rates over counted readings: in mm/s² and rad/s, and in % of the signals' RMS.
     pub fn misfit(&self, point: &Point) -> [[f64; 2]; 2] {
         let (mut off, mut size, mut count) = ([0.0; 2], [0.0; 2], [0.0f64; 2]);
-        let each = self.records.recorded.iter().zip(&point.read).zip(&self.records.seen).enumerate();
+        let each = self.readings.recorded.iter().zip(&point.read).zip(&self.readings.seen).enumerate();
         for (i, ((y, a), _)) in each.filter(|(_, (_, seen))| **seen) {
-            let kind = self.kind(i % self.records.width());
+            let kind = self.kind(i % self.readings.width());
             off[kind] += (y - a).powi(2);
             size[kind] += y * y;
             count[kind] += 1.0;

@@ -58,7 +58,7 @@ impl Descent<'_> {
             false => self.free_first(fit, start, forces, asked),
         };
         let Some((point, mut columns)) = found else { return };
-        if columns.records.len() < self.objective.records.counted() {
+        if columns.records.len() < self.objective.readings.counted() {
             columns = self.objective.columns(&point, usize::MAX);
         }
         fit.tell(&self.objective, &point, &columns);
@@ -102,7 +102,7 @@ impl Descent<'_> {
                 starts.extend(self.others(&start));
             }
         }
-        fit.solver = self.objective.tune(&best, forces, asked);
+        fit.measured.solver = self.objective.tune(&best, forces, asked);
         let point = self.whole(&best)?;
         let (point, _) = self.settle(point, ALONE)?;
         self.objective.moves = all;

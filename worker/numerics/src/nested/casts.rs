@@ -9,7 +9,7 @@ use super::fresh::fit_and_evaluate;
 use super::inversion::evaluate_inverse_on_cast;
 use super::observe::{Log, NoObserver};
 use super::state::State;
-use crate::brains::{Band, Fitted, FittedDecoder, NetworkTraining, Pooled, new_decoder};
+use crate::brains::{Band, Fitted, FittedDecoder, NetworkTraining, Pooled, Recipe, new_decoder};
 use crate::random::Purpose;
 use crate::trial::{
     BrainKind, Counters, Decoder, DesignWithSolver, Problem, Ridge, Samples, Trial, Trouble, as_ref_result,
@@ -62,8 +62,13 @@ pub(super) fn evaluate_casts(
     let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == Ridge::Auto);
     let mut brains = log.timed(|s| &mut s.train, |_| CastDecoders::new(trial, &fitting_samples, ridge));
     if problem.decoder_kind.is_network() {
-        brains.networks =
-            networks(trial, [as_ref_result(&fitting_samples[0]), as_ref_result(&some)], turn, state, log)?;
+        brains.networks = networks(
+            trial,
+            [as_ref_result(&fitting_samples[0]), as_ref_result(&some)],
+            (turn, ridge),
+            state,
+            log,
+        )?;
     }
     if done > 0 {
         log.report.counters = counted;
@@ -116,7 +121,7 @@ fn thin_samples(casts: &Samples, training: usize) -> Samples {
 fn networks<'a>(
     trial: &'a Trial<'a>,
     known: [Result<&'a Samples, Trouble>; 2],
-    turn: usize,
+    (turn, ridge): (usize, Option<f64>),
     state: &mut State,
     log: &mut Log,
 ) -> Option<Vec<Result<Box<dyn FittedDecoder + 'a>, Trouble>>> {
@@ -130,9 +135,11 @@ fn networks<'a>(
         let first = first.expect("it is compared first");
         first.trouble.map_or(Ok((known, first.weights.clone())), Err)
     });
-    let ready = [nominal, casts].map(|trained| {
+    let ready = [(nominal, ridge), (casts, None)].map(|(trained, ridge)| {
         let (known, weights) = trained?;
         let scales = [(); 2].map(|()| trial.scales.clone());
+        let ridge = ridge.map_or(recipe.decoder.ridge, Ridge::Given);
+        let recipe = Recipe { decoder: Decoder { ridge, ..recipe.decoder }, ..recipe };
         let mut reader = new_decoder(recipe, known, scales, trial.pool)?;
         *reader.training().expect("a network has weights") = Some(NetworkTraining::of(weights));
         Ok(reader)

@@ -68,7 +68,7 @@ pub struct CastEvaluation {
 /// Regularisation of a decoder that is applied to casts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Regularisation {
-    /// λ of a linear decoder, also of that beneath a stacked network.
+    /// λ of a linear decoder, or of the linear part of a stacked one.
     pub ridge: Option<f64>,
     /// κ of a linear decoder that is calibrated on records of the cast.
     pub kappa: Option<f64>,

@@ -47,6 +47,7 @@ pub struct Trial<'a> {
     pub problem: Problem,
     /// Thread pool.
     pub pool: &'a crate::Pool,
+    /// Accurate and coarse integrators.
     pub(crate) integrators: Integrators,
     /// Forces of the training samples.
     pub train: Forces,

@@ -45,8 +45,8 @@ impl Objective<'_> {
         self.counters += here.1;
         self.counters += there.1;
         let mut moved: Vec<f64> = there.0.iter().zip(&here.0).map(|(there, here)| there - here).collect();
-        self.records.whiten(&mut moved);
-        let record = self.records.size();
+        self.readings.whiten(&mut moved);
+        let record = self.readings.size();
         moved.chunks_exact(record).map(|own| own.iter().map(|x| x * x).sum()).collect()
     }
 
@@ -57,7 +57,7 @@ impl Objective<'_> {
             _ => self.plans(&point.scene, &point.cast.design(self.design), &self.simulator.forces)[1].clone(),
         };
         let mut records: Vec<usize> =
-            (0..self.records.counts.len()).filter(|i| self.records.counts[*i]).collect();
+            (0..self.readings.counts.len()).filter(|i| self.readings.counts[*i]).collect();
         let mut stands = vec![1.0; records.len()];
         if most < records.len() {
             let moved = self.moved(point, &coarse);
@@ -84,16 +84,16 @@ impl Objective<'_> {
 
     /// R^{-½} da/dz, record by record, with R including the prior of the clock offsets.
     pub fn jacobian(&self, point: &Point, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
-        let record = self.records.size();
+        let record = self.readings.size();
         let mut slopes = point.slopes.clone();
-        self.records.whiten(&mut slopes);
+        self.readings.whiten(&mut slopes);
         let mut jacobian = DMatrix::zeros(records.len() * record, of.len());
-        let mut whole = vec![0.0; self.records.recorded.len()];
+        let mut whole = vec![0.0; self.readings.recorded.len()];
         for (k, column) in of.iter().enumerate() {
             for (i, own) in records.iter().zip(column.chunks(record)) {
                 whole[i * record..][..record].copy_from_slice(own);
             }
-            self.records.whiten(&mut whole);
+            self.readings.whiten(&mut whole);
             if let Some(clock) = self.clock {
                 clock.whiten_each(&slopes, record, &mut whole);
             }
@@ -106,7 +106,7 @@ impl Objective<'_> {
     /// JᵀJ + 1, with each record weighted by the number that it represents.
     pub fn curvature(&self, point: &Point, columns: &Columns) -> DMatrix<f64> {
         let mut jacobian = self.jacobian(point, columns);
-        let record = self.records.size();
+        let record = self.readings.size();
         for (i, stands) in columns.stands.iter().enumerate() {
             jacobian.rows_mut(i * record, record).scale_mut(stands.sqrt());
         }

@@ -6,9 +6,9 @@ use crate::trial::Chip;
 /// Fraction of the largest force at which a record begins.
 const BEGUN: f64 = 0.01;
 
-/// Readings (N, T, channels) of the body's chips.
-pub struct Records<'a> {
-    /// Readings of whole records.
+/// Recorded readings of a body.
+pub struct Readings<'a> {
+    /// Of whole records (N, T, channels).
     pub(super) all: &'a [f64],
     /// Standard deviation of each record's clock error (s).
     pub(super) deviation: f64,
@@ -24,19 +24,22 @@ pub struct Records<'a> {
     pub(super) recorded: Vec<f64>,
     /// Whether each of them counts.
     pub(super) seen: Vec<bool>,
+    /// Readings that late clocks may add at either end of the window.
+    margin: usize,
+    pub(super) chip: Option<&'a Chip>,
     /// Standard deviations of noise and bias per channel.
     pub noise: Vec<f64>,
     bias: Vec<f64>,
 }
 
-impl<'a> Records<'a> {
-    /// Records of a body under these forces; `window` selects the readings that count.
+impl<'a> Readings<'a> {
+    /// Readings `all` under these forces; [`Self::look_at`] selects those that count.
     pub(super) fn new(
         all: &'a [f64],
         deviation: f64,
         scene: &Scene,
         forces: &Forces,
-        chip: Option<&Chip>,
+        chip: Option<&'a Chip>,
         width: usize,
     ) -> Self {
         Self {
@@ -48,6 +51,8 @@ impl<'a> Records<'a> {
             instants: 0,
             recorded: Vec::new(),
             seen: Vec::new(),
+            margin: 0,
+            chip,
             noise: vec![1.0; width],
             bias: chip.map_or_else(|| vec![0.0; width], |chip| chip.bias.clone()),
         }
@@ -68,24 +73,26 @@ impl<'a> Records<'a> {
         self.counts.iter().filter(|counts| **counts).count()
     }
 
-    /// Sets the window: `window` instants of each record of T from its onset, plus the margin for late clocks on either side.
-    pub(super) fn look_at(&mut self, window: usize, margin: usize, all: usize) {
-        self.window = window;
-        self.instants = self.onsets.iter().map(|o| (o + window + 2 * margin).min(all)).max().unwrap_or(all);
-        let (width, size) = (self.width(), self.size());
-        self.recorded = self.all.chunks(all * width).flat_map(|record| &record[..size]).copied().collect();
+    /// Sets the window: `window` of the T instants of each record from its onset, plus the margin at either end.
+    pub(super) fn look_at(&mut self, window: usize, margin: usize, instants: usize) {
+        (self.window, self.margin) = (window, margin);
+        let last = self.onsets.iter().map(|o| (o + window + 2 * margin).min(instants)).max();
+        self.instants = last.unwrap_or(instants);
+        let (whole, size) = (instants * self.width(), self.size());
+        self.recorded = self.all.chunks(whole).flat_map(|record| &record[..size]).copied().collect();
+        self.see();
     }
 
     /// Excludes readings outside the window, of excluded records, and at the limit of the chip's range.
-    pub(super) fn see(&mut self, margin: usize, chip: Option<&Chip>) {
-        let (width, size) = (self.width(), self.size());
+    pub(super) fn see(&mut self) {
+        let (width, size, margin) = (self.width(), self.size(), self.margin);
         let mut seen = vec![1.0; self.recorded.len()];
         for (i, own) in seen.chunks_exact_mut(size).enumerate() {
             let end = (self.onsets[i] + self.window + margin).min(self.instants.saturating_sub(margin));
             let end = if self.counts[i] { end } else { 0 };
             own.iter_mut().skip(end * width).for_each(|seen| *seen = 0.0);
         }
-        if let Some(chip) = chip {
+        if let Some(chip) = self.chip {
             chip.disturb_vjp(&mut seen, &self.recorded);
         }
         self.seen = seen.into_iter().map(|seen| seen != 0.0).collect();
