@@ -214,7 +214,7 @@ fn committed_specs_keep_their_hashes() {
     disc-map 86e8152c5c0b3a8a
     eight-forces-map 3882e6a8735693f9
     elbow-law 4763b8ca8274ddb3
-    families 159fede421d373f6
+    families 321c70f108bfbb89
     fig2 bced9d6dd8d54f61
     fig2-linear 3a1cb407e60bff17
     fig3 bf037e6c8d375f84
@@ -230,7 +230,7 @@ fn committed_specs_keep_their_hashes() {
     long-training 656d530cd0c8056b
     placed-two-core 6a5121d9e7f59190
     position-two-core a88b1e3dc86a6f5e
-    pressed db1612c5ed646b46
+    pressed 02cec997d792791e
     protocol-map 462515f2d2ebde28
     quickstart 68d08d6f16f7ca41
     random 286d45edbe9c1528
