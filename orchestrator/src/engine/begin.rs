@@ -86,11 +86,7 @@ impl Bodies {
         if body_steps.is_some() {
             self.begun.insert(body);
         }
-        Prior {
-            attempts: known.attempts,
-            steps: known.steps,
-            body,
-            trained: steps <= body_steps.map_or(0, |steps| *steps as usize),
-        }
+        let trained = steps <= body_steps.map_or(0, |steps| *steps as usize);
+        Prior { attempts: known.attempts, steps: known.steps, body, trained }
     }
 }

@@ -139,14 +139,10 @@ pub async fn run<'a>(
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
 
+    let trials = trials.iter().map(|trial| Cow::Borrowed(*trial)).collect();
     let mut engine = Engine {
         state,
-        agenda: Agenda {
-            trials: trials.iter().map(|trial| Cow::Borrowed(*trial)).collect(),
-            priors,
-            bodies,
-            work,
-        },
+        agenda: Agenda { trials, priors, bodies, work },
         options,
         clock: Clock::start(),
         workers: Workers {
@@ -448,11 +444,8 @@ impl Engine<'_> {
             }
             ToOrchestrator::Hello { .. } => Event::Up(worker),
             ToOrchestrator::Step(lease, record, checkpoint) => {
-                let steps = self
-                    .agenda
-                    .trials
-                    .get(lease.trial as usize)
-                    .map_or(1, |trial| trial.spec.optimise.steps());
+                let trial = self.agenda.trials.get(lease.trial as usize);
+                let steps = trial.map_or(1, |trial| trial.spec.optimise.steps());
                 let trained = checkpoint.step as usize >= steps.max(1);
                 Event::Step(worker, lease, trained, (record, Arc::from(checkpoint)))
             }

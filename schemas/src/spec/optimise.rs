@@ -124,11 +124,10 @@ pub struct Brain {
     /// 100·(1 − R²). Default: `"forces"`.
     #[serde(skip_serializing_if = "is_default")]
     pub task: Task,
-    /// Duration of the signals from the first contact on that the readout of a task uses. A contact is
-    /// the first reading above a tenth of its channel's RMS (training samples of the initial body), and above five standard
-    /// deviations of its error. A sample without contact is read from its start; after its end, signals are 0. For
-    /// `evaluation.tasks`, which then also trains small networks, and for tasks other than `"forces"` and `"onset"`. Unit: s.
-    /// Default: the whole sample.
+    /// Duration of the signals from the first contact on that the readout of a task uses. A contact is the first reading above a
+    /// tenth of its channel's RMS (training samples of the initial body), and above five standard deviations of its error. A sample
+    /// without contact is read from its start; after its end, signals are 0. For `evaluation.tasks`, which then also trains small
+    /// networks, and for tasks other than `"forces"` and `"onset"`. Unit: s. Default: the whole sample.
     pub window: Option<f64>,
     /// Memory of a linear decoder, `[before, after]` an instant; `after = 0` suits a device that estimates without delay. An
     /// inverse decoder uses all earlier readings and this look-ahead; a `causal` stacked decoder uses all earlier readings and no

@@ -331,8 +331,7 @@ pub struct Recorded {
     pub force: Option<Vec<Signal>>,
     /// Whether the first line of a CSV names its columns. Must be given if that line contains numbers. Default: yes.
     pub header: Option<bool>,
-    /// What separates the fields of a CSV. Default: the character that divides all lines into
-    /// equally many fields.
+    /// What separates the fields of a CSV. Default: the one that gives all lines equally many fields.
     pub separator: Option<Separator>,
     /// The decimal mark of a CSV. Default: the mark in the file's numbers.
     pub decimal: Option<Decimal>,

@@ -36,8 +36,8 @@ pub struct MeasuredSignals {
     pub rate: Option<f64>,
     /// As `recorded.header`, for `files`. Default: yes.
     pub header: Option<bool>,
-    /// As `recorded.separator`, for `files`. Default: the character that divides all lines
-    /// into equally many fields.
+    /// As `recorded.separator`, for `files`. Default: the one that gives all lines equally many
+    /// fields.
     pub separator: Option<Separator>,
     /// As `recorded.decimal`, for `files`. Default: the mark in the file's numbers.
     pub decimal: Option<Decimal>,
