@@ -237,7 +237,7 @@ fn committed_specs_keep_their_hashes() {
     random-bodies-map f6bf43a608bfdcd3
     real-scale 4b4bf13906cbda4d
     reference f69dce36048b28bd
-    robust-two-core 9ce3fa9d9ca2fd6a
+    robust-two-core bde818da2432c282
     size-map 21a675451ef496ae
     size-map-network ed0a0046ce69f708
     tasks-two-core c139bef0c2a2f47e

@@ -28,9 +28,9 @@ fn words(body: &str) -> String {
     match body {
         "initial" => "initial body",
         "nominal" => "trained as designed",
-        "mean of casts" | "mean, one" | "mean, one, iterations = 75" => "trained over casts",
-        "mean, one, iterations = 225" => "trained over casts, three times the steps",
-        "mean, each" => "trained over casts, a decoder for each, three times the samples",
+        "mean of casts" | "mean of casts, iterations = 75" => "trained over casts",
+        "mean of casts, iterations = 225" => "trained over casts, three times the steps",
+        "mean of casts, one decoder each" => "trained over casts, a decoder for each, three times the samples",
         other => panic!("no words for the body {other:?}"),
     }
     .to_owned()

@@ -57,7 +57,7 @@ pub fn findings() -> String {
             [("setting", "K = 2, M = 1, linear"), ("body", body), ("read_by", read_by), ("records", records)];
         only_row(&cast, &wanted)
     };
-    let longer = "mean, one, iterations = 225";
+    let longer = "mean of casts, iterations = 225";
     let located = |readout| {
         let [initial, trained] =
             ["initial", "optimised"].map(|body| super::tasks::position_error(readout, body));
@@ -87,7 +87,7 @@ pub fn findings() -> String {
         spread(casts_row("initial", "casts", "")),
         spread(casts_row("nominal", "casts", "")),
         percent(casts_row("nominal", "casts", ""), "designed"),
-        spread(casts_row("mean, one, iterations = 75", "casts", "")),
+        spread(casts_row("mean of casts, iterations = 75", "casts", "")),
         spread(casts_row(longer, "casts", "")),
         spread(casts_row(longer, "records", "10")),
         own("cnn"),
