@@ -960,6 +960,16 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
+def bands():
+    for line in table("bands"):
+        decoder, body = line[0].split(", ")
+        readers = ["designed"] + (["nominal", "casts"] if decoder == "linear" else ["network", "network_casts"])
+        def cell(reader, name):
+            of = [numbers(rows("robust-two-core/bands.csv", decoder=decoder, body=body, reader=reader, kind=kind), name) for kind in ("instant", "sample")]
+            return ", ".join(short(sum(x) / len(x)) for x in of)
+        yield line[1:], [cell("designed", "width")] + [cell(reader, "coverage") + " %" for reader in readers]
+
+
 def findings():
     """Numbers in the findings of README, compared with tables that are checked above, or with rows."""
     text = re.search(r"<!-- generated: findings -->\n(.*?)<!-- end -->", (HERE.parent / "README.md").read_text(), re.S)[1]
@@ -1020,7 +1030,7 @@ def recordings():
         yield said[line], [" → ".join(short(geometric(errors)) for errors in of) + " %", gain]
 
 
-CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, position, capacity, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, memory, warm_starts, relaxing, recordings]
+CHECKS = [quickstart, findings, authors, authors_casts, tasks, tasks_transfer, tasks_decoded, position, capacity, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, external_bodies, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, memory, warm_starts, relaxing, bands, recordings]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -65,6 +65,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("who senses", who_senses::all),
     ("casts", casts::casts),
     ("relaxing", casts::relaxing),
+    ("bands", casts::bands),
     ("transfer", casts::transfer),
     ("transfer networks", casts::transfer_networks),
     ("transfer recorded", casts::transfer_recorded),

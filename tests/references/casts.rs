@@ -30,7 +30,9 @@ fn words(body: &str) -> String {
         "nominal" => "trained as designed",
         "mean of casts" | "mean of casts, iterations = 75" => "trained over casts",
         "mean of casts, iterations = 225" => "trained over casts, three times the steps",
-        "mean of casts, one decoder each" => "trained over casts, a decoder for each, three times the samples",
+        "mean of casts, one decoder each" => {
+            "trained over casts, a decoder for each, three times the samples"
+        }
         other => panic!("no words for the body {other:?}"),
     }
     .to_owned()
@@ -215,6 +217,38 @@ pub fn relaxing() -> String {
     let head =
         ["body", "decoder of the design", "one decoder for all casts", "calibrated on 10 records", "on 100"];
     table(&head, bodies.map(line))
+}
+
+/// Coverage of prediction bands on casts: instants, whole samples.
+pub fn bands() -> String {
+    let all = rows("robust-two-core/bands.csv");
+    let line = |(decoder, body): (&str, &str)| {
+        let mean = |reader: &str, name: &str| {
+            ["instant", "sample"].map(|kind| {
+                let wanted = [("decoder", decoder), ("body", body), ("reader", reader), ("kind", kind)];
+                let seeds: Vec<f64> = of(&all, &wanted).map(|row| number(row, name)).collect();
+                short(&(seeds.iter().sum::<f64>() / seeds.len() as f64).to_string())
+            })
+        };
+        let readers = if decoder == "linear" { ["nominal", "casts"] } else { ["network", "network_casts"] };
+        let mut cells = vec![format!("{decoder}, {body}"), mean("designed", "width").join(", ")];
+        cells.extend(
+            ["designed", readers[0], readers[1]]
+                .map(|reader| format!("{} %", mean(reader, "coverage").join(", "))),
+        );
+        cells
+    };
+    let bodies = ["initial", "trained as designed", "trained over casts"];
+    let decoders = ["linear", "the paper's network", "long network"];
+    let lines = decoders.into_iter().flat_map(|decoder| bodies.map(|body| line((decoder, body))));
+    let head = [
+        "decoder, body",
+        "width (N)",
+        "as designed",
+        "casts, design's decoder",
+        "casts, decoder for all casts",
+    ];
+    table(&head, lines)
 }
 
 /// Errors of the quickstart's bodies on casts.
