@@ -19,11 +19,11 @@ use crate::reader::Reader;
 /// The first value is not a bound for all decoders. The motion is linearised around each of the first held-out samples. The
 /// body is known; the forces are normal with the mean and covariance of the training samples; the error is that of the
 /// posterior given the signals. Row "mean": the mean covariance of the samples, with the weights that the training set
-/// gives the mean error (it differs from the mean of the printed rows). Row "mean information": the error for the mean information, which
-/// is smaller. For pulses (bell), "any decoder" is a lower bound on the mean error of all decoders, whatever they use about
-/// body, noise and pulses, with its standard error. It comes from walks on the true posterior, eight per sample, with
-/// nonlinear motion and uniform parameters. A better decoder may remove error above the bound. Only another body, another
-/// placement of sensors or less noise lower the bound itself.
+/// gives the mean error (it differs from the mean of the printed rows). Row "mean information": the error for the mean
+/// information, which is smaller. For pulses (bell), "any decoder" is a lower bound on the mean error of all decoders,
+/// whatever they use about body, noise and pulses, with its standard error. It comes from walks on the true posterior,
+/// eight per sample, with nonlinear motion and uniform parameters. A better decoder may remove error above the bound. Only
+/// another body, another placement of sensors or less noise lower the bound itself.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

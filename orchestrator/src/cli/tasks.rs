@@ -19,14 +19,14 @@ use crate::reader::StoredTrial;
 /// whole record, or of `brain.window` from the contact on. `network`: in a window, a small network per task. `decoded`: from
 /// the forces that a linear decoder estimates. The table has means over the trials of a setting, and the error of a predictor
 /// without signals (trivial). It also has the ratio initial / trained with its 95 % interval over seeds and placements, in
-/// which each error is at least half the error of one sample. If bodies were trained for several tasks (brain.task), a transfer matrix
-/// follows: this ratio per task and training. Other formats have one row per trial, body, task and readout, with its window
-/// (s), a 95 % interval over samples and a score: balanced accuracy (%) of classes, R² of values. With `evaluation.casts`,
-/// rows have the mean error over casts. Classes, except decoded ones, have log loss and calibration error (%) of their
-/// probabilities. Tasks: forces (% of their squares); panel, the panel with the greatest force (% wrong); count, the number
-/// of panels with more than a tenth of it (% wrong); position, the panels' mean position weighted by impulse (mm); peak (N)
-/// and impulse (mN s) of each panel; onset, when a force first exceeds a tenth of the greatest (ms); kind, the part of
-/// `stimuli.mix` (% wrong; not decoded). A task whose label is the same in all samples is omitted.
+/// which each error is at least half the error of one sample. If bodies were trained for several tasks (brain.task), a
+/// transfer matrix follows: this ratio per task and training. Other formats have one row per trial, body, task and readout,
+/// with its window (s), a 95 % interval over samples and a score: balanced accuracy (%) of classes, R² of values. With
+/// `evaluation.casts`, rows have the mean error over casts. Classes, except decoded ones, have log loss and calibration
+/// error (%) of their probabilities. Tasks: forces (% of their squares); panel, the panel with the greatest force (%
+/// wrong); count, the number of panels with more than a tenth of it (% wrong); position, the panels' mean position weighted
+/// by impulse (mm); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds a tenth of the greatest
+/// (ms); kind, the part of `stimuli.mix` (% wrong; not decoded). A task whose label is the same in all samples is omitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

@@ -235,14 +235,11 @@ fn squares_from_corners_are_the_planar_body() {
     assert!((area / planar.mean_unit().0 - 1.0).abs() < 1e-12 && (round - 1.0).abs() < 1e-12);
     let design = shaken(&planar, 0.3);
     let mut same = vec![0.0; design.len()];
-    for (ours, theirs) in planar
-        .groups
-        .of_nodes
-        .iter()
-        .flatten()
-        .flatten()
-        .zip(given.groups.of_nodes.iter().flatten().flatten())
-    {
+    let numbers = |layout: &Layout| -> Vec<usize> {
+        layout.groups.of_nodes.iter().flatten().flatten().copied().collect()
+    };
+    let groups: Vec<(usize, usize)> = numbers(&planar).into_iter().zip(numbers(&given)).collect();
+    for (ours, theirs) in &groups {
         same[2 * theirs..][..2].copy_from_slice(&design[2 * ours..][..2]);
     }
     let plan = Plan::equal(Method::Nystrom6, 24);
@@ -254,20 +251,10 @@ fn squares_from_corners_are_the_planar_body() {
     };
     let ((signals, gradient), (others, other)) = (of(&planar, &design), of(&given, &same));
     assert!(norm(&signals) > 0.0 && relative(&others, &signals) < 1e-9);
-    let back: Vec<f64> = {
-        let mut back = vec![0.0; gradient.len()];
-        for (ours, theirs) in planar
-            .groups
-            .of_nodes
-            .iter()
-            .flatten()
-            .flatten()
-            .zip(given.groups.of_nodes.iter().flatten().flatten())
-        {
-            back[2 * ours..][..2].copy_from_slice(&other[2 * theirs..][..2]);
-        }
-        back
-    };
+    let mut back = vec![0.0; gradient.len()];
+    for (ours, theirs) in &groups {
+        back[2 * ours..][..2].copy_from_slice(&other[2 * theirs..][..2]);
+    }
     assert!(relative(&back, &gradient) < 1e-9, "{}", relative(&back, &gradient));
 }
 
