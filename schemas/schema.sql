@@ -357,7 +357,6 @@ SELECT t.hash, t.units, t.panels, t.sensors, t.placement, t.seed, t.protocol,
   CAST(coalesce(t.spec->>'$.brain.kind', 'cnn') AS TEXT) AS brain,
   CAST(coalesce(t.spec->>'$.optimise.brain', 'cnn') AS TEXT) AS trained_with,
   CAST(coalesce(t.spec->>'$.optimise.objective', 'nominal') AS TEXT) AS objective,
-  CAST(t.spec->>'$.optimise.reader' AS TEXT) AS trained_for,
   c.body, c.casting, c.reader, c.records, c.error,
   CAST(CASE WHEN c.reader IN ('network', 'network_casts', 'inverse', 'twin') OR coalesce(t.spec->>'$.brain.kind', 'cnn') = 'linear'
     THEN CASE c.body WHEN 'initial' THEN t.holdout_error_initial ELSE t.holdout_error_optimised END

@@ -591,10 +591,6 @@ const TABLES: &[(&str, &str)] = &[
         "[variation]\nnodes = 0.1\n[optimise]\ncasts = 4",
         "s.toml:16: optimise.casts = 4: has no effect: no trial has an optimise.objective over casts",
     ),
-    (
-        "[variation]\nstretch = 0.05\n[optimise]\nobjective = \"mean\"\nreader = \"each\"",
-        "s.toml:17: optimise.reader = \"each\": needs training with the linear decoder",
-    ),
     ("[evaluation]\ncasts = 4", "s.toml:14: evaluation.casts = 4: has no effect: no trial has a [variation]"),
     ("[run]\ntime_limit = nan", "s.toml:14: run.time_limit = nan: nan is not a finite number"),
     ("[run]\ntime_limit = 2e9", "s.toml:14: run.time_limit = 2e9: must be at least 0.1, at most 1e9"),

@@ -208,9 +208,9 @@ fn committed_specs_keep_their_hashes() {
     authors-fig3 e9d4d49d13078d1a
     authors-fig4 1a71aa5580a67a94
     authors-fig5 da7bdf0a06c4ee29
-    blows-map d3cdf14623ed2a3e
+    blows-map 1eef528a8e4a55e8
     brains-two-core 5eb82c6f08db37b1
-    design-two-core 834a3cec86c88ac1
+    design-two-core 627aa031480f4f0a
     disc-map 86e8152c5c0b3a8a
     eight-forces-map 3882e6a8735693f9
     elbow-law 4763b8ca8274ddb3
@@ -222,7 +222,7 @@ fn committed_specs_keep_their_hashes() {
     fig4b-until 323a329cfecf88a1
     fig4c cdb6e7edaff7021e
     fig5 a3ec099760be45bd
-    filtered e6c6ff4b8645bf70
+    filtered cc899af32b8ba722
     four-forces 6a239346339ec0e8
     four-forces-map 42e955fa5f00670e
     four-forces-map-network 8308d75a3d2616a4
@@ -232,18 +232,18 @@ fn committed_specs_keep_their_hashes() {
     position-two-core a88b1e3dc86a6f5e
     pressed 02cec997d792791e
     protocol-map 462515f2d2ebde28
-    quickstart 68d08d6f16f7ca41
+    quickstart 1e458c89c51ea0a8
     random 286d45edbe9c1528
-    random-bodies-map f6bf43a608bfdcd3
+    random-bodies-map ba35251987b96fde
     real-scale 4b4bf13906cbda4d
     reference f69dce36048b28bd
-    robust-two-core bde818da2432c282
-    size-map 21a675451ef496ae
+    robust-two-core 31216fdd98101304
+    size-map 613e0173fc2de345
     size-map-network ed0a0046ce69f708
     tasks-two-core c139bef0c2a2f47e
-    transfer fb5577499f8e180e
+    transfer 0b8c88cffe467170
     two-forces 6251ca1d33765752
-    who-senses 86aea9e1955edf73
+    who-senses 4c9c563f0b87e50c
     why 0ace863b908f0e91
     ");
 }

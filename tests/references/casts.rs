@@ -30,9 +30,6 @@ fn words(body: &str) -> String {
         "nominal" => "trained as designed",
         "mean of casts" | "mean of casts, iterations = 75" => "trained over casts",
         "mean of casts, iterations = 225" => "trained over casts, three times the steps",
-        "mean of casts, one decoder each" => {
-            "trained over casts, a decoder for each, three times the samples"
-        }
         other => panic!("no words for the body {other:?}"),
     }
     .to_owned()
@@ -82,8 +79,8 @@ pub fn transfer() -> String {
             "bell" => "pulses".into(),
             "irregular" => "blows".into(),
             mix if mix.contains("iterations = 150") => "the same, four times the samples".to_owned(),
-            mix if mix.contains("objective") => "both, the mean of logarithms, a decoder for each".to_owned(),
-            _ => "both, the mean error, one decoder".into(),
+            mix if mix.contains("mean of parts") => "both, the mean of logarithms".to_owned(),
+            _ => "both, the mean error".into(),
         };
         let own = read.map(|row| percent(row, "own"));
         let carried =
@@ -159,7 +156,7 @@ pub fn transfer_networks() -> String {
         ("initial", "none: the initial body"),
         ("bell", "pulses"),
         ("irregular", "blows"),
-        ("mix", "both, the mean of logarithms, a decoder for each"),
+        ("mix", "both, the mean of logarithms"),
     ];
     let head = [
         "trained under",

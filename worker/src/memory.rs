@@ -71,7 +71,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
     let mut always: Vec<Part> =
         vec![("stimuli.samples", samples, "histories of the forces", forces(f(samples)))];
     if trial.brain.kind != BrainKind::Cnn || optimise.linear() {
-        let unknowns = channels * f(lags(&trial.time, trial.brain.memory).groups().len());
+        let unknowns = f(lags(&trial.time, trial.brain.memory).unknowns(trial.signals()));
         let moments = (readings * channels).powi(2) + readings * channels * readings * panels;
         let bytes = 8.0 * (moments + unknowns * unknowns);
         always.push(("sweep.sensors", trial.point.sensors, "the linear decoder", bytes));

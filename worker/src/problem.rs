@@ -407,7 +407,7 @@ pub fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
         trial.point.sensors,
         &remedy,
     )?;
-    let unknowns = channels * lags.groups().len();
+    let unknowns = lags.unknowns(channels);
     let remedy = format!(
         "gives {unknowns} unknowns per force, at most {UNKNOWNS_MAX} are allowed: use a shorter memory, fewer sensors \
          or fewer time.samples"

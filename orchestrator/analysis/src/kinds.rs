@@ -48,7 +48,11 @@ fn brains_for(setting: &Setting, task: Option<&str>) -> [String; 2] {
 
 /// Formats [`brains`].
 pub fn format_brains([by, with]: &[String; 2]) -> String {
-    if by == with { by.clone() } else { format!("trained with {with}, evaluated with {by}") }
+    match with.strip_prefix(&by[..]) {
+        // the same decoder, perhaps with an objective or protocol
+        Some(rest) if rest.is_empty() || rest.starts_with([',', ' ']) => with.clone(),
+        _ => format!("trained with {with}, evaluated with {by}"),
+    }
 }
 
 /// [`brains`] of a trial's spec, or of a part that contains the decoder.
@@ -56,15 +60,13 @@ pub fn brains_of(spec: &Value) -> [String; 2] {
     brains(&flatten(spec).into_iter().collect())
 }
 
-/// Returns the objective over casts or over the parts of a mixture, and whether each had a decoder; `None`: training as
-/// designed.
+/// Returns the objective over casts or over the parts of a mixture; `None`: training as designed.
 pub fn objective(setting: &Setting) -> Option<String> {
     let tail = setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
     let objective = tail.or_else(|| setting.text("optimise.objective").map(str::to_owned))?;
     let varies = || setting.leaves().keys().any(|path| path.starts_with("variation."));
     let of = if setting.text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
-    let each = if setting.text("optimise.reader") == Some("each") { ", one decoder each" } else { "" };
-    Some(format!("{objective} of {of}{each}"))
+    Some(format!("{objective} of {of}"))
 }
 
 /// Whether the trial's own decoder is linear and estimates forces.

@@ -225,6 +225,12 @@ struct Agenda<'a> {
     work: &'a dyn Fn(&Trial) -> String,
 }
 
+impl Agenda<'_> {
+    fn trial(&self, lease: Lease) -> &Trial {
+        &self.trials[lease.trial as usize]
+    }
+}
+
 type Events = VecDeque<Event<Records>>;
 
 impl Engine<'_> {
@@ -260,7 +266,7 @@ impl Engine<'_> {
                 self.view.forecast.assigned(lease.trial, self.clock.elapsed());
                 let prior = self.agenda.priors[lease.trial as usize];
                 if prior.steps.is_some() || self.agenda.bodies.begun.contains(&prior.body) {
-                    let pause = self.agenda.trials[lease.trial as usize].pause;
+                    let pause = self.agenda.trial(lease).pause;
                     self.record(QueuedRecord::Load(worker, lease, pause)).await;
                 } else {
                     self.view.forecast.goes_on(lease.trial, 0, true);
@@ -273,7 +279,7 @@ impl Engine<'_> {
                 self.agenda.bodies.begun.insert(prior.body);
                 self.view.steps += 1;
                 self.view.forecast.stepped(lease.trial, self.clock.elapsed());
-                self.watch.step(&self.agenda.trials[lease.trial as usize], &record);
+                self.watch.step(self.agenda.trial(lease), &record);
                 self.record_spent(lease).await;
                 self.record(QueuedRecord::Step(lease, record, checkpoint)).await;
             }
@@ -291,7 +297,7 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
-                let trial = &*self.agenda.trials[lease.trial as usize];
+                let trial = self.agenda.trial(lease);
                 self.view.attempt_failed(lease.trial, reason, settled, self.clock.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
                 let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
@@ -321,7 +327,7 @@ impl Engine<'_> {
                 self.record(QueuedRecord::Failure(lease, reason, settled && reason != Reason::Paused)).await;
             }
             Action::RecordCancelled(lease) => {
-                let trial = &*self.agenda.trials[lease.trial as usize];
+                let trial = self.agenda.trial(lease);
                 self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.clock.elapsed());
                 tracing::info!(trial.hash, "the trial was cancelled before an attempt");
                 self.record(QueuedRecord::Cancelled(lease)).await;
@@ -380,7 +386,7 @@ impl Engine<'_> {
     }
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
-        let trial = &*self.agenda.trials[lease.trial as usize];
+        let trial = self.agenda.trial(lease);
         let job = ToWorker::Job {
             lease,
             work: (self.agenda.work)(trial),
@@ -479,12 +485,12 @@ impl Engine<'_> {
             WriterEvent::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
             WriterEvent::Done(lease, result) => {
                 self.view.done += 1;
-                self.watch.done(&self.agenda.trials[lease.trial as usize], &result);
+                self.watch.done(self.agenda.trial(lease), &result);
                 events.push_back(Event::Recorded(lease, RecordKind::Result));
             }
             WriterEvent::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
-                    let trial = &*self.agenda.trials[lease.trial as usize];
+                    let trial = self.agenda.trial(lease);
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
                     let text = format!("restarted, because the checkpoint cannot be used: {why}");

@@ -96,7 +96,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     let optimise = optimise.resolved();
     let (optimise, robust) = match optimise.objective {
         Some(_) => (optimise, true),
-        None => (Optimise { casts: None, reader: None, ..optimise }, false),
+        None => (Optimise { casts: None, ..optimise }, false),
     };
     // deviations matter only if an objective or the evaluation uses casts
     let variation = spec.variation.filter(|_| robust || evaluation.casts.is_some());
@@ -141,9 +141,8 @@ pub(super) fn refuse_unread<'a>(
     let trained_by_network = any_spec(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
     let without_deviation = |spec: &SweepSpec| spec.variation.is_some_and(|v| v.resolved().is_none());
-    let keys: [(&str, bool, KeyPredicate, &str); 22] = [
+    let keys: [(&str, bool, KeyPredicate, &str); 21] = [
         ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), NO_OBJECTIVE),
-        ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), NO_OBJECTIVE),
         ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), NO_VARIATION),
         ("evaluation.records", calibrates, &|s| s.evaluation.records.is_some(), NO_CALIBRATION),
         ("variation", false, &without_deviation, "must contain at least one deviation"),

@@ -31,7 +31,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
              the median cast; lines: up to the 90th percentile; geometric means over trials. First position: the body \
              as designed. Others: decoders fitted to the body as designed (for design), to other casts (for casts), and \
              to these casts and records of each cast. Trained: for the body as designed (nominal), or over casts, by \
-             objective and by one decoder for all casts or one for each.{}",
+             objective.{}",
             left_out(found.len(), MOST_SETTINGS)
         ),
         legend(&names),

@@ -126,7 +126,10 @@ pub enum StoreError {
     )]
     Damaged(String, String),
     /// A stored value that this program cannot read.
-    #[error("trial {hash}: the stored {what} cannot be read: {message}")]
+    #[error(
+        "trial {hash}: the stored {what} cannot be read: {message}; if another version of metasense wrote it, use that version, \
+         or only `metasense query`"
+    )]
     Unreadable {
         /// The trial.
         hash: String,

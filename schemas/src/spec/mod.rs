@@ -22,8 +22,8 @@ pub use external::{BodyKind, Constraint, Description};
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
 pub use optimise::{
-    Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
-    Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail, Task,
+    Auto, Brain, BrainKind, Evaluation, GradientTerms, Network, Objective, ObjectiveName, Optimise, Preset,
+    Protocol, Ridge, Scaling, Schedule, Tail, Task,
 };
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};

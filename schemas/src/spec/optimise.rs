@@ -293,16 +293,6 @@ impl Objective {
     }
 }
 
-/// Decoder of the casts of a step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum CastReader {
-    /// One decoder for all casts, for use without calibration.
-    One,
-    /// A linear decoder per cast, fitted to its samples, for use with calibration.
-    Each,
-}
-
 /// The outer loop over the design. Omitted keys have the default of the protocol.
 #[skip_serializing_none]
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -322,8 +312,7 @@ pub struct Optimise {
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     pub gradient: Option<GradientTerms>,
     /// Samples per step for the gradient of the design, at most 1 000 000, with a linear decoder at least 2; with an objective over
-    /// casts, per cast. Default: 32 for `"joint"`, for a `brain.task` other than `"forces"` 128, over casts 8, with
-    /// `reader = "each"` 24.
+    /// casts, per cast. Default: 32 for `"joint"`, for a `brain.task` other than `"forces"` 128, over casts 8.
     pub batch: Option<usize>,
     /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
     pub brain_iterations: Option<usize>,
@@ -341,15 +330,13 @@ pub struct Optimise {
     /// `"mean"`, `"worst"` or `{ cvar = 0.9 }` (mean over the worst tenth). Without `[variation]`, the same over the logarithms
     /// of the errors under each part of `stimuli.mix`. Only for `"joint"`. Default: `"nominal"`.
     pub objective: Option<Objective>,
-    /// Casts per step, with `batch` samples each. Default: 4, with `reader = "each"` 3; over a mixture its parts.
+    /// Casts per step, with `batch` samples each and one decoder for all. Default: 4; over a mixture its parts.
     pub casts: Option<usize>,
-    /// Decoder of the casts during training: `"one"` for all casts, or `"each"` for one per cast. Default: `"one"`.
-    pub reader: Option<CastReader>,
 }
 
-/// Default casts per step and samples per cast, with one decoder for all casts and with one per cast.
-const CASTS_ONE: [usize; 2] = [4, 8];
-const CASTS_EACH: [usize; 2] = [3, 24];
+/// Default casts per step and samples per cast.
+const CASTS: usize = 4;
+const CAST_BATCH: usize = 8;
 
 impl Optimise {
     /// Default samples per step of `joint` without casts.
@@ -367,13 +354,10 @@ impl Optimise {
             Protocol::Joint => (350, 0.2),
         };
         self.objective = self.objective.and_then(Objective::resolved);
-        // a common decoder gains from more casts, a decoder per cast from more samples per cast
         let mut batch = Self::BATCH;
         if self.objective.is_some() {
-            let reader = *self.reader.get_or_insert(CastReader::One);
-            let casts = if reader == CastReader::One { CASTS_ONE } else { CASTS_EACH };
-            self.casts.get_or_insert(casts[0]);
-            batch = casts[1];
+            self.casts.get_or_insert(CASTS);
+            batch = CAST_BATCH;
         }
         self.iterations.get_or_insert(iterations);
         self.learning_rate.get_or_insert(learning_rate);

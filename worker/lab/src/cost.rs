@@ -64,7 +64,7 @@ fn network_weights(trial: &TrialSpec) -> usize {
 
 /// Unknowns of a linear decoder with this memory, per force.
 fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
-    trial.signals() * lags(&trial.time, memory).groups().len()
+    lags(&trial.time, memory).unknowns(trial.signals())
 }
 
 /// Multiply-adds of a factorisation.

@@ -11,15 +11,7 @@ pub fn median(values: &[f64]) -> f64 {
 
 /// 97.5 % quantile of Student's t.
 pub fn student(freedom: usize) -> f64 {
-    const TABLE: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
-    if freedom <= TABLE.len() {
-        return TABLE[freedom.max(1) - 1];
-    }
-    // Cornish–Fisher expansion in 1/freedom to third order (Abramowitz and Stegun 26.7.5), accurate to 1e-3 here.
-    let (z, n) = (1.959_964f64, freedom as f64);
-    z + (z.powi(3) + z) / (4.0 * n)
-        + (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n)
-        + (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / (384.0 * n.powi(3))
+    student_above(freedom.max(1), 0.025)
 }
 
 /// Probability that Student's t exceeds `t`.

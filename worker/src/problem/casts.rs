@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Parameters, Relaxation};
-use metasense_numerics::trial::{CastObjective, DecoderSharing, ObjectiveDomain};
+use metasense_numerics::trial::{CastObjective, ObjectiveDomain};
 use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
@@ -120,7 +120,7 @@ fn deviations<Parts: Copy + Into<[f64; 2]>>(
 
 /// The objective over casts, or over parts of a mixture.
 pub(super) fn casting(trial: &TrialSpec) -> Result<Option<CastObjective>, Invalid> {
-    let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
+    let spec::Optimise { objective, casts, protocol, .. } = trial.optimise.clone().resolved();
     let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
     let shown = as_written(&objective);
     let parts = trial.stimuli.mix.as_ref().filter(|_| trial.variation.is_none()).map(Vec::len);
@@ -138,15 +138,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<CastObjective>, Invali
     let remedy = "must be left out: without a [variation] the objective is over the parts of stimuli.mix";
     require(parts.is_none_or(|parts| parts == casts), "optimise.casts", casts, remedy)?;
     let over = if parts.is_some() { ObjectiveDomain::Parts } else { ObjectiveDomain::Casts };
-    let reader = match reader {
-        Some(spec::CastReader::Each) => {
-            let remedy = "needs training with the linear decoder: networks are not trained for each cast";
-            require(trial.optimise.linear(), "optimise.reader", "\"each\"", remedy)?;
-            DecoderSharing::Each
-        }
-        _ => DecoderSharing::One,
-    };
-    Ok(Some(CastObjective { over, casts, tail, reader }))
+    Ok(Some(CastObjective { over, casts, tail }))
 }
 
 /// Number of casts in the final comparison.

@@ -27,7 +27,7 @@ impl Decoder {
     /// The longest memory, up to the whole sample in both directions, that can be solved; every body is decoded with it.
     pub fn whole(instants: usize, channels: usize) -> Self {
         let both = |reach| Lags { before: reach, after: reach };
-        let solvable = |lags: &Lags| lags.groups().len() * channels <= UNKNOWNS_MAX;
+        let solvable = |lags: &Lags| lags.unknowns(channels) <= UNKNOWNS_MAX;
         let lags = (0..instants).rev().map(both).find(solvable).unwrap_or(both(0));
         Self { lags, ridge: Ridge::Auto }
     }
@@ -216,7 +216,12 @@ impl<'a> LinearLearner<'a> {
 
     /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones, and cross-validates the fit on the
     /// newest body. λ moves along the gradient of the cross-validated error. Returns the training error on the newest body (%).
-    fn fit_recent(&mut self, bodies: &[&Samples], learnt: &mut DecoderState) -> Result<Option<f64>, Trouble> {
+    fn fit_recent(
+        &mut self,
+        bodies: &[&Samples],
+        casts: usize,
+        learnt: &mut DecoderState,
+    ) -> Result<Option<f64>, Trouble> {
         let problem = &self.trial.problem;
         let ridge = self.first_ridge(learnt)?;
         let (newest, earlier) = bodies.split_last().expect("the newest");
@@ -236,7 +241,6 @@ impl<'a> LinearLearner<'a> {
         }
         self.known = bodies.iter().map(|body| (*body).clone()).zip(equations).collect();
 
-        let casts = problem.optimise.casting.map_or(1, |casting| casting.casts);
         let crossed = CrossValidation::new(samples, casts, members, &parts, &all, ridge)?;
         if problem.decoder.ridge == Ridge::Auto {
             learnt.ridge = Some(crossed.next_ridge());
@@ -280,14 +284,11 @@ impl Learner for LinearLearner<'_> {
         _: &mut Counters,
     ) -> Result<FitResult, Trouble> {
         let error = match on {
-            FitOn::Recent(bodies) => self.fit_recent(bodies, learnt)?,
-            FitOn::Optimum(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
+            FitOn::Recent(bodies, casts) => self.fit_recent(bodies, casts, learnt)?,
+            FitOn::Optimum(train) | FitOn::Alike(train) => {
                 let train = self.plain(train);
                 let all = train.moments().normal(self.trial.problem.decoder.lags);
-                let ridge = match on {
-                    FitOn::Cast(_) => self.first_ridge(learnt)?,
-                    _ => self.ridge_at(step, &train, &all, learnt)?,
-                };
+                let ridge = self.ridge_at(step, &train, &all, learnt)?;
                 let fit = solve(all, ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
                 train.error(&self.linear().predict(&train.x))

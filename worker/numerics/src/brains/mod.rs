@@ -193,10 +193,8 @@ pub(crate) enum FitOn<'a> {
     Optimum(&'a Samples),
     /// Newly, with equal initial weights and iterations for every body.
     Alike(&'a Samples),
-    /// Continued, on a few samples of one cast of the body.
-    Cast(&'a Samples),
-    /// Continued, on the last bodies, the newest last.
-    Recent(&'a [&'a Samples]),
+    /// Continued, on the last bodies, the newest last, whose samples come from this many casts.
+    Recent(&'a [&'a Samples], usize),
 }
 
 /// Result of a fit.

@@ -346,11 +346,11 @@ impl Learner for NetworkLearner<'_> {
         self.first_training(first, learnt, counters)?;
         let loss = match on {
             FitOn::Optimum(_) => unreachable!("returned above"),
-            FitOn::Cast(train) | FitOn::Alike(train) => {
+            FitOn::Alike(train) => {
                 let data = self.data(train);
                 self.continue_training(data.all(), learnt, counters)?
             }
-            FitOn::Recent(bodies) => {
+            FitOn::Recent(bodies, _) => {
                 let all = Samples::joined(bodies);
                 let data = self.data(&all);
                 self.go_on_by_slices(&data, all.count(), step, learnt, counters)?

@@ -362,7 +362,7 @@ impl Learner for TaskLearner<'_> {
     ) -> Result<FitResult, Trouble> {
         let problem = &self.trial.problem;
         let (samples, parts) = match on {
-            FitOn::Recent(bodies) => {
+            FitOn::Recent(bodies, _) => {
                 let newest = *bodies.last().expect("the newest");
                 let (first, count) = (u64::from(step) * newest.count() as u64, newest.count());
                 (newest, problem.parts_of(Purpose::Fresh, first, count))
@@ -371,7 +371,6 @@ impl Learner for TaskLearner<'_> {
                 let [parts, ..] = problem.parts();
                 (train, parts)
             }
-            FitOn::Cast(_) => unreachable!("the spec is refused: bodies are trained for tasks as designed"),
         };
         let labelled = Labelled::of(self.trial, samples, &parts);
         let readout = labelled.fit()?;

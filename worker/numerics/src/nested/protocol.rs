@@ -15,8 +15,8 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
 use crate::random::Purpose;
 use crate::trial::{
-    CastObjective, Counters, DecoderSharing, FAILED, ObjectiveDomain, Protocol, Response, Samples,
-    StepTraining, Terms, Trial, Trouble,
+    CastObjective, Counters, FAILED, ObjectiveDomain, Protocol, Response, Samples, StepTraining, Terms,
+    Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -61,12 +61,7 @@ impl<'a> Session<'a> {
     ) -> Result<StepResult, Trouble> {
         match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
-            Protocol::Joint(going) => match self.trial.problem.optimise.casting {
-                Some(CastObjective { reader: DecoderSharing::Each, .. }) => {
-                    self.joint_each(state, going, log)
-                }
-                _ => self.joint(state, going, log),
-            },
+            Protocol::Joint(going) => self.joint(state, going, log),
             Protocol::Random(_) => self.candidate(state, log),
         }
     }
@@ -127,9 +122,21 @@ impl<'a> Session<'a> {
 
         let recent = std::mem::take(&mut self.recent);
         let bodies: Vec<&Samples> = recent.iter().map(|(_, samples)| samples).collect();
-        let fitted = self.fit(FitOn::Recent(&bodies), state, log);
+        let fitted = self.fit(FitOn::Recent(&bodies, newest.len()), state, log);
         self.recent = recent;
         let loss_train = fitted?;
+        let gradient = if self.moves(step) { self.gradient(&newest, going, log)? } else { Vec::new() };
+        let error_test = self.evaluate_test_set(state, log)?;
+        Ok(StepResult { gradient, loss_train, error_test })
+    }
+
+    /// Gradient of the objective over the casts of a body, to which the decoder has just been fitted.
+    fn gradient(
+        &mut self,
+        newest: &[Response],
+        going: StepTraining,
+        log: &mut Log,
+    ) -> Result<Vec<f64>, Trouble> {
         let casting = self.trial.problem.optimise.casting;
         let first = match casting {
             Some(casting) => self.initial_losses(casting, going, log)?[1].clone(),
@@ -145,57 +152,7 @@ impl<'a> Session<'a> {
         };
         let casts: Vec<&Samples> = newest.iter().map(|cast| &cast.samples).collect();
         let cotangents = log.timed(|s| &mut s.differentiate, |_| self.learner.casts_vjp(&casts, &weigh));
-        let gradients = self.vjps(&newest, &cotangents, log)?;
-        let gradient = weighted_sum(&vec![1.0; gradients.len()], &gradients)?;
-        let error_test = self.evaluate_test_set(state, log)?;
-        Ok(StepResult { gradient, loss_train, error_test })
-    }
-
-    /// As [`Self::joint`], with one decoder per cast, fitted to the samples of this cast alone.
-    fn joint_each(
-        &mut self,
-        state: &mut State,
-        going: StepTraining,
-        log: &mut Log,
-    ) -> Result<StepResult, Trouble> {
-        let newest = self.simulate_fresh(&state.design, state.step, going, self.moves(state.step), log)?;
-        let casting = self.trial.problem.optimise.casting.expect("a decoder per cast needs casts");
-        let mut found = Vec::with_capacity(newest.len());
-        for cast in &newest {
-            let error = self.learn(FitOn::Cast(&cast.samples), state, log)?;
-            let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
-            found.push((error, loss, cotangent));
-        }
-        let (loss_train, gradient) = self.over_casts(casting, &newest, found, going, log)?;
-        // over all casts; `learn` reported single casts
-        (log.report.loss_train, log.report.error_train) = (Some(loss_train), Some(100.0 * loss_train));
-        state.check_trend(loss_train)?;
-        let error_test = self.evaluate_test_set(state, log)?;
-        Ok(StepResult { gradient, loss_train, error_test })
-    }
-
-    /// Objective of a step's casts and its gradient in α. `found` has, per cast, the error that the objective ranks, the
-    /// differentiated loss if it is another one, and its cotangent.
-    fn over_casts(
-        &mut self,
-        casting: CastObjective,
-        casts: &[Response],
-        found: Vec<(f64, Option<f64>, Vec<f64>)>,
-        settings: StepTraining,
-        log: &mut Log,
-    ) -> Result<(f64, Vec<f64>), Trouble> {
-        let losses: Vec<Option<f64>> = found.iter().map(|(_, loss, _)| *loss).collect();
-        let (errors, cotangents): (Vec<_>, Vec<_>) =
-            found.into_iter().map(|(error, _, cotangent)| (error, cotangent)).unzip();
-        let gradients = self.vjps(casts, &cotangents, log)?;
-        let [_, first] = self.initial_losses(casting, settings, log)?;
-        let (objective, mut weights) = casting.objective(&errors, first);
-        if casting.over == ObjectiveDomain::Parts {
-            // d ln L = dL/L with the differentiated loss L
-            let by_loss = weights.iter_mut().zip(&errors).zip(&losses);
-            by_loss.for_each(|((by, error), loss)| *by *= loss.map_or(1.0, |loss| error / loss));
-        }
-        Ok((objective, weighted_sum(&weights, &gradients)?))
+        sum(&self.vjps(newest, &cotangents, log)?)
     }
 
     /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
@@ -212,12 +169,12 @@ impl<'a> Session<'a> {
                 let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
                 let mut learner = learner(trial);
                 let parts = self.simulate_fresh(&trial.problem.initial, 0, going, false, log)?;
-                for (number, part) in parts.iter().enumerate() {
+                for (number, part) in parts.iter().map(|part| &part.samples).enumerate() {
                     let mut learnt = State::new(&trial.problem).decoder_state;
                     let counters = &mut log.report.counters;
-                    learner.fit(FitOn::Cast(&part.samples), 0, &mut learnt, counters)?;
-                    let error = learner.error(&part.samples).unwrap_or(1.0);
-                    let (loss, _) = learner.loss_vjp(&part.samples, Loss::Training);
+                    learner.fit(FitOn::Recent(&[part], 1), 0, &mut learnt, counters)?;
+                    let error = learner.error(part).unwrap_or(1.0);
+                    let (loss, _) = learner.loss_vjp(part, Loss::Training);
                     (self.first[0][number], self.first[1][number]) = (error, loss.unwrap_or(error));
                 }
                 (log.report.counters, log.report.fresh_samples) = counted;
@@ -284,7 +241,7 @@ impl<'a> Session<'a> {
         (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
         log.report.ridge = learnt.ridge;
         // losses at different λ are not comparable; in `Recent`, λ changes little per step
-        if learnt.ridge != ridge && !matches!(on, FitOn::Recent(_)) {
+        if learnt.ridge != ridge && !matches!(on, FitOn::Recent(..)) {
             *trend = None;
         }
         Ok(learned.loss)
@@ -349,37 +306,22 @@ impl<'a> Session<'a> {
         let parts = (casting.over == ObjectiveDomain::Parts).then(|| problem.parts());
         let casts = if parts.is_some() { casting.casts } else { TEST_CASTS.min(trial.test.samples) };
         // the samples of one part of a mixture, or every `casts`-th sample
-        let dealt = |number: usize, set: usize, forces: &Forces, most: usize| {
+        let dealt = |number: usize| {
             let is_own = |i: &usize| match &parts {
-                Some(parts) => parts[set][*i] == number,
+                Some([_, parts, _]) => parts[*i] == number,
                 None => i % casts == number,
             };
-            forces.select(&(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
+            trial.test.select(&(0..trial.test.samples).filter(is_own).collect::<Vec<_>>())
         };
-        let each = casting.reader == DecoderSharing::Each;
         let one = |number: usize, counters: &mut Counters| {
-            let cast = trial.cast(Casts::Look, number as u64);
-            let mut of =
-                |set, forces, most| simulate_set(cast.as_ref(), dealt(number, set, forces, most), counters);
-            let train = each.then(|| of(0, &trial.train, going.batch)).transpose()?;
-            Ok::<_, Trouble>((train, of(1, &trial.test, usize::MAX)?))
+            simulate_set(trial.cast(Casts::Look, number as u64).as_ref(), dealt(number), counters)
         };
         let all =
             log.timed(|s| &mut s.simulate, |report| trial.map_parallel(casts, &mut report.counters, one));
-        let mut errors = Vec::with_capacity(casts);
-        for of_cast in all {
-            let error = || {
-                let (train, test) = of_cast?;
-                if let Some(train) = train {
-                    // a copy: training does not continue from this fit
-                    let (on, mut learnt) = (FitOn::Cast(&train), state.decoder_state.clone());
-                    self.learner.fit(on, state.step, &mut learnt, &mut log.report.counters)?;
-                }
-                Ok::<_, Trouble>(self.learner.error(&test))
-            };
-            // a failed cast has an error of 100 %
-            errors.extend(error().unwrap_or(Some(FAILED)));
-        }
+        // a failed cast has an error of 100 %
+        let error =
+            |test: Result<Samples, Trouble>| test.map_or(Some(FAILED), |test| self.learner.error(&test));
+        let errors: Vec<f64> = all.into_iter().filter_map(error).collect();
         if errors.is_empty() || parts.is_some() && errors.len() < casts {
             return Ok(None);
         }
@@ -427,14 +369,14 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Σ weight · gradient.
+/// The sum of gradients.
 ///
 /// # Errors
 /// If it is not finite: samples without force have no error.
-fn weighted_sum(weights: &[f64], gradients: &[Vec<f64>]) -> Result<Vec<f64>, Trouble> {
+fn sum(gradients: &[Vec<f64>]) -> Result<Vec<f64>, Trouble> {
     let mut sum = vec![0.0; gradients[0].len()];
-    for (by, gradient) in weights.iter().zip(gradients) {
-        sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += by * g);
+    for gradient in gradients {
+        sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
     }
     if sum.iter().all(|g| g.is_finite()) { Ok(sum) } else { Err(Trouble::GradientNonFinite) }
 }

@@ -1,6 +1,6 @@
 //! Schedule of the outer loop: learning rates, test evaluations, and progress.
 
-use crate::trial::{DecoderSharing, Optimise, Problem, Protocol};
+use crate::trial::{Optimise, Problem, Protocol};
 
 /// Fractions of a loop after which a design search may stop a trial.
 pub const RUNGS: [f64; 2] = [1.0 / 9.0, 1.0 / 3.0];
@@ -52,9 +52,7 @@ impl Optimise {
 
     /// Whether a step evaluates the test set.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
-        // a decoder per cast has too few samples for its error to select a body
-        let each = self.casting.is_some_and(|casting| casting.reader == DecoderSharing::Each);
-        is_look(self.iterations, step) && !each || step + 1 == self.iterations
+        is_look(self.iterations, step) || step + 1 == self.iterations
     }
 }
 

@@ -25,8 +25,8 @@ pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub use scales::Scales;
 pub use settings::{
-    BrainKind, CastObjective, Decoder, DecoderSharing, Evaluation, ObjectiveDomain, Optimise, Protocol,
-    Ridge, Scaling, Schedule, StepTraining, Terms, Training,
+    BrainKind, CastObjective, Decoder, Evaluation, ObjectiveDomain, Optimise, Protocol, Ridge, Scaling,
+    Schedule, StepTraining, Terms, Training,
 };
 
 use crate::dynamics::{self, Forces, Outcome, Scene, Solver};

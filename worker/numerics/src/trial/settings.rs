@@ -90,8 +90,6 @@ pub struct CastObjective {
     pub casts: usize,
     /// Fraction of the worst casts whose mean loss moves the body: 1 for all, 0 for the worst alone.
     pub tail: f64,
-    /// Decoders during training.
-    pub reader: DecoderSharing,
 }
 
 /// What an objective averages over.
@@ -101,15 +99,6 @@ pub enum ObjectiveDomain {
     Casts,
     /// Parts of a mixture of forces, by the logarithms of their losses, which can differ tenfold.
     Parts,
-}
-
-/// Decoders of casts during training.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DecoderSharing {
-    /// One decoder for all casts.
-    One,
-    /// One decoder per cast, fitted to its samples.
-    Each,
 }
 
 impl CastObjective {

@@ -31,8 +31,7 @@ fn few_samples_may_fail() {
 /// the greatest ratio to its first loss.
 #[test]
 fn an_objective_over_parts_is_of_relative_errors() {
-    let of =
-        |tail| CastObjective { over: ObjectiveDomain::Parts, casts: 2, tail, reader: DecoderSharing::One };
+    let of = |tail| CastObjective { over: ObjectiveDomain::Parts, casts: 2, tail };
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} for {b}");
     let (mean, weights) = of(1.0).objective(&[4.0, 1.0], &[1.0, 1.0]);
     for (a, b) in [(mean, 2.0), (weights[0], 0.25), (weights[1], 1.0)] {
@@ -47,10 +46,8 @@ fn an_objective_over_parts_is_of_relative_errors() {
 /// Weights for the mean of all casts, the worst half, a tail that contains part of a cast, and the worst cast.
 #[test]
 fn an_objective_weighs_the_worst_casts() {
-    let weights = |tail| {
-        CastObjective { over: ObjectiveDomain::Casts, casts: 4, tail, reader: DecoderSharing::One }
-            .weights(&[3.0, 1.0, 4.0, 2.0])
-    };
+    let weights =
+        |tail| CastObjective { over: ObjectiveDomain::Casts, casts: 4, tail }.weights(&[3.0, 1.0, 4.0, 2.0]);
     assert_eq!(weights(1.0), [0.25; 4]);
     assert_eq!(weights(0.5), [0.5, 0.0, 0.5, 0.0]);
     let cut = weights(0.4);

@@ -58,6 +58,11 @@ impl Lags {
         self.before + self.after + 1
     }
 
+    /// Number of weights per force of a decoder of this number of channels.
+    pub fn unknowns(self, channels: usize) -> usize {
+        self.groups().len() * channels
+    }
+
     /// Groups of lags that share a weight, in ascending order of lags.
     pub fn groups(self) -> Vec<Range<usize>> {
         self.grouped(&FINE)

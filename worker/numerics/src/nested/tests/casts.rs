@@ -11,9 +11,7 @@ use crate::brains::{
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::identify::Fit;
 use crate::stimuli::Irregular;
-use crate::trial::{
-    CastObjective, DecoderSharing, Disturbance, ObjectiveDomain, Samples, Size, Spread, mean_error,
-};
+use crate::trial::{CastObjective, Disturbance, ObjectiveDomain, Samples, Size, Spread, mean_error};
 use crate::variation::{Casts, Variation};
 
 /// With deviations of all parameters, ligaments, units, nodes and chips.
@@ -35,7 +33,7 @@ fn cast(casting: CastObjective) -> Problem {
 /// A part without test samples prevents test evaluations: the result is then the trained body.
 #[test]
 fn a_body_that_no_look_has_read_is_the_trained_one() {
-    let mut problem = mixed(CastObjective { reader: DecoderSharing::One, ..PARTS });
+    let mut problem = mixed(PARTS);
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     (parts[0].0, parts[1].0) = (1.0, 1e-9);
     problem.disturbance = Some(Disturbance { noise: Size::Relative(0.01), ..Disturbance::NONE });
@@ -47,7 +45,7 @@ fn a_body_that_no_look_has_read_is_the_trained_one() {
 /// A part whose forces lie outside the sample has no error: the step fails and moves nothing.
 #[test]
 fn a_part_without_a_force_is_named() {
-    let mut problem = mixed(CastObjective { reader: DecoderSharing::One, ..PARTS });
+    let mut problem = mixed(PARTS);
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     let Source::Bell(bell) = &mut parts[1].1 else { panic!("bells") };
     bell.onset = [5.0, 6.0];
@@ -68,12 +66,10 @@ fn a_fold_without_a_force_judges_nothing() {
     assert!(!records.is_empty() && records.iter().all(|read| read.trouble.is_none()), "{records:?}");
 }
 
-const MEAN: CastObjective =
-    CastObjective { over: ObjectiveDomain::Casts, casts: 3, tail: 1.0, reader: DecoderSharing::One };
-const EACH: CastObjective = CastObjective { reader: DecoderSharing::Each, ..MEAN };
-const WORST: CastObjective = CastObjective { tail: 0.0, ..EACH };
+const MEAN: CastObjective = CastObjective { over: ObjectiveDomain::Casts, casts: 3, tail: 1.0 };
+const WORST: CastObjective = CastObjective { tail: 0.0, ..MEAN };
 
-const PARTS: CastObjective = CastObjective { over: ObjectiveDomain::Parts, casts: 2, ..EACH };
+const PARTS: CastObjective = CastObjective { over: ObjectiveDomain::Parts, casts: 2, ..MEAN };
 
 /// A mixture of slow and of strong pulses, trained for both parts.
 fn mixed(casting: CastObjective) -> Problem {
@@ -85,19 +81,20 @@ fn mixed(casting: CastObjective) -> Problem {
     problem
 }
 
-/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations. L is the objective of one cross-validated decoder, or of one
-/// decoder per cast; over parts of a mixture that of the logarithms.
+/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations. L is the objective of a cross-validated decoder; over parts of
+/// a mixture that of the logarithms.
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
     let tail = |casting| CastObjective { tail: 0.5, ..casting };
-    let castings = [MEAN, tail(MEAN), EACH, WORST, tail(EACH), PARTS];
+    let castings = [MEAN, tail(MEAN), WORST, PARTS];
     let squares = castings.map(|of| if of.over == ObjectiveDomain::Parts { mixed(of) } else { cast(of) });
     // a disc of triangles and a sheet of hexagons
-    let others = on_lattices(&cast(EACH)).into_iter().skip(1).take(2).map(|(_, problem)| problem);
+    let others = on_lattices(&cast(MEAN)).into_iter().skip(1).take(2).map(|(_, problem)| problem);
     for mut problem in squares.into_iter().chain(others) {
         let casting = problem.optimise.casting.expect("casts");
-        // the logarithm is of the error alone, and is more curved under strong forces
-        let (ridge, near) = if casting.over == ObjectiveDomain::Parts { (1e-11, 0.1) } else { (1e-3, 0.25) };
+        // strong forces make the error more curved
+        let near = if casting.over == ObjectiveDomain::Parts { 0.04 } else { 0.25 };
+        let ridge = 1e-3;
         problem.solver.accuracy = Accuracy(1e-11);
         if casting.over == ObjectiveDomain::Casts {
             problem.scene.density *= 3.0; // fewer steps
@@ -131,30 +128,19 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                 })
                 .collect();
             let plain = |samples: &Samples| ScaledSamples::of(samples, &trial.scales, &pool);
-            let least = |set: &ScaledSamples| {
-                let linear = solve(set.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
-                let squares = linear.w.iter().map(|w| w * w).sum::<f64>();
-                0.01 * set.error(&linear.predict(&set.x)).unwrap() + ridge * squares
-            };
-            if casting.reader == DecoderSharing::One {
-                // of each fold, by a decoder that was fitted without it
-                let all = plain(&Samples::joined(&sets.iter().collect::<Vec<_>>()));
-                let (folds, mut errors) = (assign_folds(problem.seed, all.w.len()), vec![0.0; all.w.len()]);
-                for fold in 0..5 {
-                    let (own, others): (Vec<_>, Vec<_>) = (0..folds.len()).partition(|i| folds[*i] == fold);
-                    let moments = all.select(&others).moments();
-                    let linear = solve(moments.normal(problem.decoder.lags), ridge).unwrap().linear();
-                    let test = all.select(&own);
-                    let found = test.errors(&linear.predict(&test.x));
-                    own.iter().zip(found).for_each(|(i, error)| errors[*i] = 0.01 * error.unwrap());
-                }
-                let each: Vec<f64> = errors
-                    .chunks_exact(GOING.batch)
-                    .map(|own| own.iter().sum::<f64>() / own.len() as f64)
-                    .collect();
-                return casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum();
+            // of each fold, by a decoder that was fitted without it
+            let all = plain(&Samples::joined(&sets.iter().collect::<Vec<_>>()));
+            let (folds, mut errors) = (assign_folds(problem.seed, all.w.len()), vec![0.0; all.w.len()]);
+            for fold in 0..5 {
+                let (own, others): (Vec<_>, Vec<_>) = (0..folds.len()).partition(|i| folds[*i] == fold);
+                let moments = all.select(&others).moments();
+                let linear = solve(moments.normal(problem.decoder.lags), ridge).unwrap().linear();
+                let test = all.select(&own);
+                let found = test.errors(&linear.predict(&test.x));
+                own.iter().zip(found).for_each(|(i, error)| errors[*i] = 0.01 * error.unwrap());
             }
-            let each: Vec<f64> = sets.iter().map(|set| least(&plain(set))).collect();
+            let mean = |own: &[f64]| own.iter().sum::<f64>() / own.len() as f64;
+            let each: Vec<f64> = errors.chunks_exact(GOING.batch).map(mean).collect();
             match casting.over {
                 ObjectiveDomain::Casts => {
                     casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum()
@@ -182,9 +168,8 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
 /// needs no ranking, it is so up to a constant factor.
 #[test]
 fn a_network_moves_a_body_by_the_objective_of_its_losses() {
-    let one = |casting| CastObjective { reader: DecoderSharing::One, ..casting };
     let tails = [1.0, 0.5, 0.0];
-    let castings = tails.map(|tail| [CastObjective { tail, ..MEAN }, CastObjective { tail, ..one(PARTS) }]);
+    let castings = tails.map(|tail| [CastObjective { tail, ..MEAN }, CastObjective { tail, ..PARTS }]);
     for casting in castings.into_iter().flatten() {
         let mut problem = if casting.over == ObjectiveDomain::Parts { mixed(casting) } else { cast(casting) };
         (problem.decoder_kind, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
@@ -215,8 +200,8 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
         let first: Vec<f64> = (0..casting.casts)
             .map(|number| {
                 let (own, mut learner) = (samples(&problem.initial, number), learner(&trial));
-                let counters = &mut Counters::default();
-                learner.fit(FitOn::Cast(&own), 0, &mut State::new(&problem).decoder_state, counters).unwrap();
+                let (on, mut learnt) = (FitOn::Recent(&[&own], 1), State::new(&problem).decoder_state);
+                learner.fit(on, 0, &mut learnt, &mut Counters::default()).unwrap();
                 learner.loss_vjp(&own, Loss::Training).0.unwrap()
             })
             .collect();
@@ -254,14 +239,12 @@ fn readings(found: &Optimised) -> Vec<(u32, CastDecoder, u64)> {
     found.casts.iter().flatten().map(bits).collect()
 }
 
-/// A network trained over casts; a decoder for all casts, one per cast, and the same for parts of a mixture.
+/// A network trained over casts; a linear decoder trained over casts and over parts of a mixture, by mean and by worst.
 fn loops() -> [Problem; 5] {
     let network = scattered(small(Protocol::Joint(GOING)));
     let network = Problem { optimise: Optimise { casting: Some(MEAN), ..network.optimise }, ..network };
-    let parts = [PARTS, CastObjective { tail: 0.0, reader: DecoderSharing::One, ..PARTS }]
-        .map(|of| scattered(mixed(of)));
-    let [each, worst] = parts;
-    [network, cast(MEAN), cast(WORST), each, worst]
+    let [mean, worst] = [1.0, 0.0].map(|tail| scattered(mixed(CastObjective { tail, ..PARTS })));
+    [network, cast(MEAN), cast(WORST), mean, worst]
 }
 
 /// The first two loops with one quick step, evaluated on `casts` casts.
