@@ -138,10 +138,7 @@ fn what_no_key_reads_makes_no_other_trial() {
         hashes(&TINY.replace("[brain]", &format!("{SCATTER}[brain]")).replace("batch = 4", keys))
     };
     assert_eq!(with("batch = 4\nobjective = \"nominal\""), with("batch = 4"));
-    assert_eq!(
-        with("objective = { cvar = 0.0 }"),
-        with("objective = \"mean\"\ncasts = 4\nbatch = 8\nreader = \"one\"")
-    );
+    assert_eq!(with("objective = { cvar = 0.0 }"), with("objective = \"mean\"\ncasts = 4\nbatch = 8"));
     assert_eq!(with("objective = { cvar = 1.0 }"), with("objective = \"worst\""));
     assert_ne!(with("objective = \"worst\""), with("objective = \"mean\""));
     let turns =

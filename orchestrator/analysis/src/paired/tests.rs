@@ -8,7 +8,7 @@ fn the_ratio_of_known_pairs_with_student_s_interval() {
         Ratio::of(&logs.iter().enumerate().map(|(i, l)| (seed(i), l.exp())).collect::<Vec<_>>())
     };
     let found = of_seeds(&logs).unwrap();
-    let half = 3.182 * (0.2f64 / 3.0).sqrt() / 2.0;
+    let half = 3.182_446_305_284_263 * (0.2f64 / 3.0).sqrt() / 2.0;
     let interval = found.interval.unwrap();
     assert!((found.ratio.ln() - 0.8).abs() < 1e-12 && found.above_one == 4, "{found:?}");
     assert!((interval.low.ln() - (0.8 - half)).abs() < 1e-9, "{interval:?}");

@@ -83,8 +83,8 @@ fn the_interval_of_a_mean_is_student_s_over_units() {
         // t = 3.75/1.548 = 2.42 with three degrees of freedom
         assert!((chance - 0.0939).abs() < 1e-3, "{chance}");
         // 80 % quantile of t: 0.978
-        assert!((tells - (3.182 + 0.978) * (28.75f64 / 3.0 / 4.0).sqrt()).abs() < 1e-3, "{tells}");
-        let half = 3.182 * (28.75f64 / 3.0 / 4.0).sqrt();
+        assert!((tells - (3.18245 + 0.97847) * (28.75f64 / 3.0 / 4.0).sqrt()).abs() < 1e-3, "{tells}");
+        let half = 3.182_446_305_284_263 * (28.75f64 / 3.0 / 4.0).sqrt();
         assert!((found.low - (3.75 - half)).abs() < 1e-9, "{found:?}");
         assert!((found.high - (3.75 + half)).abs() < 1e-9, "{found:?}");
     }
