@@ -212,7 +212,7 @@ fn committed_specs_keep_their_hashes() {
     brains-two-core 5eb82c6f08db37b1
     design-two-core 627aa031480f4f0a
     disc-map 86e8152c5c0b3a8a
-    eight-forces-map 3882e6a8735693f9
+    eight-forces-map 7deac9337597129f
     elbow-law 4763b8ca8274ddb3
     families 321c70f108bfbb89
     fig2 bced9d6dd8d54f61
