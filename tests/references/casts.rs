@@ -1,6 +1,8 @@
 //! The tables of casts, and of trained bodies under other conditions.
 
-use super::rows::{Row, geometric, number, of, only_row, percent, ratio, rows, short, spread, with_interval};
+use super::rows::{
+    Row, geometric, number, of, only_row, percent, ratio, rounded_mean, rows, short, spread, with_interval,
+};
 use super::table;
 
 /// One line per body of the setting: its error as designed, and errors of one kind of decoders on its casts.
@@ -223,16 +225,14 @@ pub fn bands() -> String {
         let mean = |reader: &str, name: &str| {
             ["instant", "sample"].map(|kind| {
                 let wanted = [("decoder", decoder), ("body", body), ("reader", reader), ("kind", kind)];
-                let seeds: Vec<f64> = of(&all, &wanted).map(|row| number(row, name)).collect();
-                short(&(seeds.iter().sum::<f64>() / seeds.len() as f64).to_string())
+                rounded_mean(&of(&all, &wanted).map(|row| number(row, name)).collect::<Vec<_>>())
             })
         };
-        let readers = if decoder == "linear" { ["nominal", "casts"] } else { ["network", "network_casts"] };
+        let [own, of_casts] =
+            if decoder == "linear" { ["nominal", "casts"] } else { ["network", "network_casts"] };
+        let covered = |reader: &str| format!("{} %", mean(reader, "coverage").join(", "));
         let mut cells = vec![format!("{decoder}, {body}"), mean("designed", "width").join(", ")];
-        cells.extend(
-            ["designed", readers[0], readers[1]]
-                .map(|reader| format!("{} %", mean(reader, "coverage").join(", "))),
-        );
+        cells.extend(["designed", own, of_casts].map(covered));
         cells
     };
     let bodies = ["initial", "trained as designed", "trained over casts"];

@@ -100,6 +100,11 @@ pub(super) fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
     format!("{at} ({low} … {high})")
 }
 
+/// The mean as text.
+pub(super) fn rounded_mean(values: &[f64]) -> String {
+    short(&mean(values).expect("there are rows").to_string())
+}
+
 /// The geometric mean.
 pub(super) fn geometric(values: impl Iterator<Item = f64>) -> String {
     short(&geometric_mean(&values.collect::<Vec<_>>()).to_string())

@@ -1,8 +1,8 @@
 //! The tables of tasks other than forces in the authors' scene.
 
-use metasense::analysis::numbers::{correlation, mean, ranks};
+use metasense::analysis::numbers::{correlation, ranks};
 
-use super::rows::{Row, number, of, only_row, rows, seeds, short, with_interval};
+use super::rows::{Row, number, of, only_row, rounded_mean, rows, seeds, short, with_interval};
 use super::table;
 
 /// One line per noise, task and readout: means over seeds, and the ratio of the errors of the initial and the trained body. In the
@@ -84,10 +84,6 @@ pub fn transfer() -> String {
     };
     let columns = [&["trained for"], tasks].concat();
     table(&columns, TRAININGS.iter().map(line).chain(["forces", "all"].map(kept)))
-}
-
-fn rounded_mean(values: &[f64]) -> String {
-    short(&mean(values).expect("there are rows").to_string())
 }
 
 /// One line per task: mean errors over seeds of the decoded readout, on initial and on trained bodies.

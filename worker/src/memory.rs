@@ -63,7 +63,8 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
         trial.sensor_units.is_empty() && trial.sensors.search.is_some_and(|search| search != Search::Random);
     // The search simulates one sensor per candidate. Candidates lie inside the body, at least a quarter of the units.
     let sensors = if searched { trial.point.sensors.max(units / 4) } else { trial.point.sensors };
-    let channels = f(trial.sensors.read().len() * sensors);
+    let signals_read = trial.sensors.read().len() * sensors;
+    let channels = f(signals_read);
     let moving = f(instants(trial));
     let forces = |count: f64| 8.0 * count * panels * clock;
     let signals = |count: f64| 8.0 * count * (moving * f(3 * sensors) + readings * (channels + panels));
@@ -71,7 +72,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
     let mut always: Vec<Part> =
         vec![("stimuli.samples", samples, "histories of the forces", forces(f(samples)))];
     if trial.brain.kind != BrainKind::Cnn || optimise.linear() {
-        let unknowns = f(lags(&trial.time, trial.brain.memory).unknowns(trial.signals()));
+        let unknowns = f(lags(&trial.time, trial.brain.memory).unknowns(signals_read));
         let moments = (readings * channels).powi(2) + readings * channels * readings * panels;
         let bytes = 8.0 * (moments + unknowns * unknowns);
         always.push(("sweep.sensors", trial.point.sensors, "the linear decoder", bytes));
@@ -91,9 +92,8 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
                 let bytes = forces(drawn) + signals(drawn) + states(drawn);
                 steps.push(("optimise.batch", batch, "samples of a step", bytes));
                 if optimise.linear() {
-                    let channels = trial.sensors.read().len() * sensors;
-                    let groups = lags(&trial.time, trial.brain.memory).training_groups(channels);
-                    let bytes = MATRICES * 8.0 * f(groups.len() * channels).powi(2);
+                    let groups = lags(&trial.time, trial.brain.memory).training_groups(signals_read);
+                    let bytes = MATRICES * 8.0 * f(groups.len() * signals_read).powi(2);
                     steps.push(("sweep.sensors", trial.point.sensors, "normal equations", bytes));
                 }
             }

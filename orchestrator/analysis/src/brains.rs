@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use super::kinds::{brains_by_trial, memory};
 use super::numbers::{distinct, geometric_mean, in_order};
 use super::paired::{Ratio, disagreement};
-use super::trial::{Body, Cluster, Reading, Set, Trial};
+use super::trial::{Body, Cluster, Set, Trial};
 
 /// Held-out errors of one decoder on bodies with equal training.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,11 +28,6 @@ pub struct DecoderErrors {
     pub ratio: Ratio,
     /// Verdicts on the ratio by means and by medians over samples, if they differ.
     pub note: Option<String>,
-}
-
-/// The trial's linear decoder of the longest memory.
-fn of_whole_sample(trial: &Trial) -> Option<&Reading> {
-    trial.readings.iter().find(|reading| reading.is_longest)
 }
 
 /// Returns the errors by decoder of trials that differ only in decoder, placement and seed: own decoders first, then linear
@@ -62,7 +57,7 @@ pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
         let mut read_so: HashMap<(Cluster, u64), Vec<&&Trial>> = HashMap::new();
         for trial in having(&|kind| kind[1] == *trained_with) {
             let known = read_so.entry((trial.cluster, trial.sensors)).or_default();
-            if !known.iter().any(|t| of_whole_sample(t) == of_whole_sample(trial)) {
+            if !known.iter().any(|t| t.longest_reading() == trial.longest_reading()) {
                 known.push(trial);
                 alike.push(trial);
             }

@@ -107,8 +107,7 @@ fn designed(trial: &Trial, body: Body, by: CastDecoder, set: Set) -> Option<f64>
     if by <= CastDecoder::NetworkCasts || inverts || is_linear(trial) {
         return trial.error(body, set);
     }
-    let whole = trial.readings.iter().find(|reading| reading.is_longest)?;
-    whole.errors[body as usize][set as usize].filter(|error| *error > 0.0)
+    trial.longest_reading()?.errors[body as usize][set as usize].filter(|error| *error > 0.0)
 }
 
 #[cfg(test)]

@@ -202,6 +202,11 @@ impl Trial {
         error_of(&self.long_errors, &self.long_medians, body, set)
     }
 
+    /// Returns the errors of the linear decoder with the longest memory.
+    pub fn longest_reading(&self) -> Option<&Reading> {
+        self.readings.iter().find(|reading| reading.is_longest)
+    }
+
     /// CPU seconds of training and comparison, as if this trial had trained its body itself. Comparable between trials.
     pub fn seconds_alone(&self) -> f64 {
         let evaluation = self.seconds.iter().find(|part| part.0 == "evaluate").map_or(0.0, |part| part.1);

@@ -252,25 +252,25 @@ impl<'a> Session<'a> {
         log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(samples, loss))
     }
 
+    /// dL/dα from the cotangent on a body's signals; empty if the step does not move the body.
     fn vjp(&self, response: &Response, cotangent: Vec<f64>, log: &mut Log) -> Result<Vec<f64>, Trouble> {
-        let of_one = self.vjps(std::slice::from_ref(response), &[cotangent], log)?;
-        Ok(of_one.into_iter().next().unwrap_or_default())
+        if !self.moves(log.report.step) {
+            return Ok(Vec::new());
+        }
+        Ok(self.vjps(std::slice::from_ref(response), &[cotangent], log)?.remove(0))
     }
 
     fn moves(&self, step: u32) -> bool {
         self.trial.problem.optimise.moves_body(step)
     }
 
-    /// dL/dα of each cast from the cotangents on its signals, in parallel; empty if the step does not move the body.
+    /// dL/dα of each cast from the cotangents on its signals, in parallel.
     fn vjps(
         &self,
         casts: &[Response],
         cotangents: &[Vec<f64>],
         log: &mut Log,
     ) -> Result<Vec<Vec<f64>>, Trouble> {
-        if !self.moves(log.report.step) {
-            return Ok(vec![Vec::new(); casts.len()]);
-        }
         let one =
             |at: usize, counters: &mut Counters| self.trial.vjp(&casts[at], cotangents[at].clone(), counters);
         log.timed(
