@@ -1,7 +1,7 @@
 //! Lower bound on the memory of a trial, and the memory available to a process on this machine.
 //!
 //! ```text
-//! forces N K (R + 1)     signals N (T′ 3M + T (C + K))     states S T′ 6U     linear decoder (T C)² + T C T K + D²     (8 bytes each)
+//! forces N K (R + 1)     signals N (T′ 3M + T (C + K))     states S T′ 6U     linear decoder T² + 3D²/2     (8 bytes each)
 //! ```
 //! N samples of K panels; R instants of the forces, T of the readings, T′ of the motion; M sensors with C channels in total; S
 //! samples and U units of a gradient; D unknowns of a decoder. Counts only arrays that exist at the same time, so a rejected
@@ -73,8 +73,8 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
         vec![("stimuli.samples", samples, "histories of the forces", forces(f(samples)))];
     if trial.brain.kind != BrainKind::Cnn || optimise.linear() {
         let unknowns = f(lags(&trial.time, trial.brain.memory).unknowns(signals_read));
-        let moments = (readings * channels).powi(2) + readings * channels * readings * panels;
-        let bytes = 8.0 * (moments + unknowns * unknowns);
+        // products of two channels; the normal matrix, and its lower triangle by pairs of channels
+        let bytes = 8.0 * (readings * readings + 1.5 * unknowns * unknowns);
         always.push(("sweep.sensors", trial.point.sensors, "the linear decoder", bytes));
     }
 

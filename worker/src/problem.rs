@@ -136,7 +136,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
 /// # Errors
 /// Names the key that must change.
 pub fn estimable(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
-    let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
+    let readable = fits(trial.time.samples, trial.signals());
     let remedy = "is too large for the linear decoder of the whole sample, which sensing tasks need: lower it, or use fewer sensors";
     require(readable, "time.samples", trial.time.samples, remedy)?;
     let [train, _] = problem.training_and_test();
@@ -398,15 +398,9 @@ pub fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     let (instants, channels) = (trial.time.samples, trial.signals());
     let readings = channels * instants;
     let remedy = format!(
-        "gives a linear decoder {readings} readings per sample (time.samples × sensors.channels × sensors); the limits are {READINGS_MAX}, and \
-         10^8 for readings × time.samples × panels"
+        "gives a linear decoder {readings} readings per sample (time.samples × sensors.channels × sensors); the limit is {READINGS_MAX}"
     );
-    require(
-        fits(instants, channels, trial.panel_units.len()),
-        "sweep.sensors",
-        trial.point.sensors,
-        &remedy,
-    )?;
+    require(fits(instants, channels), "sweep.sensors", trial.point.sensors, &remedy)?;
     let unknowns = lags.unknowns(channels);
     let remedy = format!(
         "gives {unknowns} unknowns per force, at most {UNKNOWNS_MAX} are allowed: use a shorter memory, fewer sensors \

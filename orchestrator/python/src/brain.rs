@@ -119,10 +119,10 @@ impl LinearBrain {
                 instants
             )));
         }
-        if !fits(instants, channels, panels) {
+        if !fits(instants, channels) {
             let readings = instants.saturating_mul(channels);
             return Err(PyValueError::new_err(format!(
-                "signals has {readings} readings per sample (T × C); the limits are {READINGS_MAX}, and 10^8 for readings × T × K"
+                "signals has {readings} readings per sample (T × C); the limit is {READINGS_MAX}"
             )));
         }
         let signal_scale = signal_scale.map(|scale| vector("signal_scale", scale)).transpose()?;

@@ -2,9 +2,10 @@
 
 use metasense_kernels::Pool;
 use metasense_kernels::brain::linear::{
-    Fit, Lags, Linear, Moments, Order, Singular, Sizes, factor, matrix_mut,
+    Fit, Lags, Linear, Normal, Order, Singular, Sizes, factor, matrix_mut,
 };
 use metasense_kernels::random::{Purpose, Stream};
+use std::ops::Range;
 
 const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
 /// Long enough for lags with shared weights.
@@ -28,10 +29,12 @@ fn set(sizes: Sizes, seed: u64) -> Set {
     Set { sizes, x, f, w: draw(SAMPLES).into_iter().map(|w| w * w + 0.1).collect() }
 }
 
-fn moments(set: &Set) -> Moments {
-    let mut moments = Moments::new(set.sizes, &Pool::new(1).unwrap());
-    moments.add(&set.x, &set.f, &set.w);
-    moments
+fn normal(set: &Set, lags: Lags) -> Normal {
+    normal_of(set, lags, lags.groups())
+}
+
+fn normal_of(set: &Set, lags: Lags, groups: Vec<Range<usize>>) -> Normal {
+    Normal::new(set.sizes, [&set.x, &set.f, &set.w], lags, groups, &Pool::new(1).unwrap())
 }
 
 /// Σ w Σ f².
@@ -98,7 +101,7 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
     for (sizes, before, after) in MEMORIES {
         let (set, lags) = (set(sizes, 1), Lags { before, after });
         for groups in [lags.groups(), lags.training_groups(MANY)] {
-            let normal = moments(&set).normal_of(lags, groups.clone());
+            let normal = normal_of(&set, lags, groups.clone());
             let linear = Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
             let least = objective(&set, &linear, ridge);
             let rises = |change: &dyn Fn(&mut Linear, f64)| {
@@ -131,7 +134,7 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
     }
 }
 
-/// Blocks of one factor are the factors of shorter memories; moments of disjoint sets add up.
+/// Blocks of one factor are the factors of shorter memories. Normal equations of disjoint sets add up.
 #[test]
 fn one_factor_serves_every_shorter_memory() {
     let ridge = 0.03;
@@ -151,22 +154,23 @@ fn one_factor_serves_every_shorter_memory() {
         (LONG, Order::Outward, 48, 48),
         (LONG, Order::Outward, 12, 12),
     ] {
-        let (all, lags) = (moments(&set(sizes, 2)), Lags { before, after });
-        let alone = Fit::new(all.normal(lags), ridge, Order::Ascending).unwrap().linear();
-        let whole = Fit::new(all.normal(Lags::whole(sizes.instants)), ridge, order).unwrap();
+        let (set, lags) = (set(sizes, 2), Lags { before, after });
+        let alone = Fit::new(normal(&set, lags), ridge, Order::Ascending).unwrap().linear();
+        let whole = Fit::new(normal(&set, Lags::whole(sizes.instants)), ridge, order).unwrap();
         close(&whole.with_memory(lags), &alone);
     }
-    let set = set(SIZES, 2);
-    let all = moments(&set);
+    let all = set(SIZES, 2);
     let (one_x, one_f) = (SIZES.instants * SIZES.channels, SIZES.instants * SIZES.outputs);
-    let mut part = Moments::new(SIZES, &Pool::new(1).unwrap());
-    part.add(&set.x[2 * one_x..], &set.f[2 * one_f..], &set.w[2..]);
-    let mut rest = Moments::new(SIZES, &Pool::new(1).unwrap());
-    rest.add(&set.x[..2 * one_x], &set.f[..2 * one_f], &set.w[..2]);
+    let [part, rest] = [2..SAMPLES, 0..2].map(|own: Range<usize>| Set {
+        sizes: SIZES,
+        x: all.x[own.start * one_x..own.end * one_x].to_vec(),
+        f: all.f[own.start * one_f..own.end * one_f].to_vec(),
+        w: all.w[own].to_vec(),
+    });
     let lags = Lags { before: 2, after: 1 };
     let fit = |normal| Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
-    let [all_normal, part_normal] = [&all, &part].map(|moments| moments.normal(lags));
-    close(&fit(all_normal.plus(-1.0, &part_normal)), &fit(rest.normal(lags)));
+    let [all, part, rest] = [all, part, rest].map(|set| normal(&set, lags));
+    close(&fit(all.plus(-1.0, &part)), &fit(rest));
 }
 
 /// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩, with zero bias.
@@ -175,7 +179,7 @@ fn predictions_and_pull_backs_are_transposes() {
     for (sizes, before, after) in MEMORIES {
         let (set, other) = (set(sizes, 3), set(sizes, 4));
         let mut linear =
-            Fit::new(moments(&set).normal(Lags { before, after }), 0.1, Order::Ascending).unwrap().linear();
+            Fit::new(normal(&set, Lags { before, after }), 0.1, Order::Ascending).unwrap().linear();
         linear.b.fill(0.0);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let left = dot(&other.f, &linear.predict(&set.x));
@@ -199,7 +203,7 @@ fn the_sensitivity_solves_the_second_derivative() {
         (LONG, Order::Outward, 42, 49),
     ] {
         let (set, other, lags) = (set(sizes, 5), set(sizes, 6), Lags { before, after });
-        let fit = Fit::new(moments(&set).normal(lags), ridge, order).unwrap();
+        let fit = Fit::new(normal(&set, lags), ridge, order).unwrap();
         let linear = fit.linear();
         let force = linear.weights_vjp(&other.x, &other.f);
         let z = fit.sensitivity(&force);
@@ -236,7 +240,7 @@ fn a_singular_matrix_is_named() {
     let mut set = set(SIZES, 7);
     set.x.chunks_exact_mut(3).for_each(|row| row[2] = row[1]);
     let lags = Lags { before: 1, after: 1 };
-    let fit = |ridge| Fit::new(moments(&set).normal(lags), ridge, Order::Ascending);
+    let fit = |ridge| Fit::new(normal(&set, lags), ridge, Order::Ascending);
     assert_eq!(fit(0.0).err(), Some(Singular));
     assert!(fit(1e-6).is_ok());
 }
@@ -280,15 +284,15 @@ fn a_factor_is_the_same_on_any_number_of_threads() {
     }
 }
 
-/// Moments and decoders do not depend on the number of threads.
+/// Normal equations and decoders do not depend on the number of threads.
 #[test]
 fn a_brain_is_the_same_on_any_number_of_threads() {
     let sizes = Sizes { instants: 60, channels: 6, outputs: 2 };
     let set = set(sizes, 5);
     let fitted = |threads: usize| {
-        let mut moments = Moments::new(sizes, &Pool::new(threads).unwrap());
-        moments.add(&set.x, &set.f, &set.w);
-        Fit::new(moments.normal(Lags::whole(sizes.instants)), 1e-3, Order::Outward).unwrap().linear()
+        let (lags, pool) = (Lags::whole(sizes.instants), Pool::new(threads).unwrap());
+        let normal = Normal::new(sizes, [&set.x, &set.f, &set.w], lags, lags.groups(), &pool);
+        Fit::new(normal, 1e-3, Order::Outward).unwrap().linear()
     };
     let alone = fitted(1);
     assert!(alone.w.len() / sizes.outputs > 128);

@@ -2,7 +2,7 @@
 
 use metasense_kernels::Pool;
 use metasense_kernels::body::Layout;
-use metasense_kernels::brain::linear::{Fit, Lags, Moments, Order, Sizes};
+use metasense_kernels::brain::linear::{Fit, Lags, Normal, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
 use metasense_kernels::dynamics::{
     Accuracy, Forces, Frame, Method, Panel, PartFactors, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
@@ -76,10 +76,10 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     assert!(losses.len() == 12 && iterations >= 12, "{iterations} heartbeats in {} iterations", losses.len());
 
     let sizes = Sizes { instants, channels: 3, outputs: 1 };
-    let mut moments = Moments::new(sizes, &pool);
     let y: Vec<f64> = y.iter().map(|y| f64::from(*y)).collect();
-    let (_, taken_in) = beats(&pool, || moments.add(&signals, &y, &vec![1.0; samples]));
-    let (fit, factored) =
-        beats(&pool, || Fit::new(moments.normal(Lags::whole(instants)), 1e-3, Order::Ascending));
-    assert!(fit.is_ok() && taken_in > 0 && factored > 0, "{taken_in}, {factored}");
+    let (lags, weights) = (Lags::whole(instants), vec![1.0; samples]);
+    let (normal, summed) =
+        beats(&pool, || Normal::new(sizes, [&signals, &y, &weights], lags, lags.groups(), &pool));
+    let (fit, factored) = beats(&pool, || Fit::new(normal, 1e-3, Order::Ascending));
+    assert!(fit.is_ok() && summed > 0 && factored > 0, "{summed}, {factored}");
 }

@@ -183,7 +183,7 @@ pub fn replay_for_casts(
 pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>, Failure> {
     let problem = prepared(trial)?;
     let (instants, channels) = (problem.scene.instants, replay.signal_scale.len());
-    if !fits(instants, channels, problem.scene.panels.len()) {
+    if !fits(instants, channels) {
         return Ok(None);
     }
     let found = replay.linear(&problem, &Decoder::whole(instants, channels), &pool(1)?);

@@ -175,8 +175,8 @@ pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
             return Err(invalid("evaluation.under.weight", weight, "has no effect: leave it out"));
         }
     }
-    let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
-    let remedy = "must be left out: a linear decoder of such long samples does not fit into memory";
+    let readable = fits(trial.time.samples, trial.signals());
+    let remedy = "must be left out: a linear decoder of such long samples takes too long";
     require(kinds.is_empty() || readable, key, &shown, remedy)?;
     let instants = force_instants(trial)?;
     read_under(trial).map(|part| source_of_part(trial, key, part, &trial.stimuli, instants)).collect()

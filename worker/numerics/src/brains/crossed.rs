@@ -10,27 +10,16 @@
 
 use super::linear::{ScaledSamples, solve, through_weights};
 use super::ridge;
-use crate::brain::linear::{Lags, Linear, Moments, Normal};
+use crate::brain::linear::{Lags, Linear, Normal};
 use crate::trial::{Trouble, mean_error, pick};
 
 /// Step of ln λ per unit of −d ln L/d ln λ: about the inverse of its second derivative near the minimum, measured as 0.1 … 0.2.
 const RIDGE_RATE: f64 = 5.0;
 
-/// Normal equations of each fold's samples, of which `members` has the numbers. `moments` is memory.
-pub(super) fn fold_equations(
-    samples: &ScaledSamples,
-    members: &[Vec<usize>],
-    lags: Lags,
-    moments: &mut Moments,
-) -> Vec<Normal> {
+/// Normal equations of each fold's samples, of which `members` has the numbers.
+pub(super) fn fold_equations(samples: &ScaledSamples, members: &[Vec<usize>], lags: Lags) -> Vec<Normal> {
     let groups = lags.training_groups(samples.sizes.channels);
-    let of_fold = |own: &Vec<usize>| {
-        let own = samples.select(own);
-        moments.clear();
-        moments.add(&own.x, &own.y, &own.w);
-        moments.normal_of(lags, groups.clone())
-    };
-    members.iter().map(of_fold).collect()
+    members.iter().map(|own| samples.select(own).normal_of(lags, groups.clone())).collect()
 }
 
 /// The decoders of all folds of a body's samples, which come from one or more casts.

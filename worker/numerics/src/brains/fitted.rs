@@ -77,7 +77,7 @@ impl Decoder {
         pool: &Pool,
     ) -> Result<Fitted, Trouble> {
         let known = ScaledSamples::of(known, &scales, pool);
-        let all = known.moments().normal(self.lags);
+        let all = known.normal(self.lags);
         let ridge = self.ridge_of(seed, &known, &all)?;
         Ok(Fitted::new(solve(all, ridge)?.linear(), ridge, &known, &scales))
     }
@@ -100,7 +100,7 @@ impl Pooled {
     pub(crate) fn new(trial: &Trial, samples: &Samples, casts: usize) -> Result<Self, Trouble> {
         let (decoder, scales) = (trial.problem.decoder, trial.scales.clone());
         let known = ScaledSamples::of(samples, &scales, trial.pool);
-        let normal = known.moments().normal(decoder.lags);
+        let normal = known.normal(decoder.lags);
         let (dealt, each) = (ridge::assign_folds(trial.problem.seed, casts), samples.count() / casts);
         let dealt: Vec<usize> = (0..samples.count()).map(|i| dealt[i / each]).collect();
         let ridge = match decoder.ridge {
@@ -123,17 +123,17 @@ impl Pooled {
         pool: &Pool,
     ) -> Result<(Fitted, f64), Trouble> {
         let own = ScaledSamples::of(samples, &self.scales, pool);
-        let (normal, ridge) = (own.moments().normal(self.normal.lags()), self.fitted.ridge);
+        let (normal, ridge) = (own.normal(self.normal.lags()), self.fitted.ridge);
         let add_pooled = |own: &Normal, share: f64| own.clone().plus(share, &self.normal);
         let share = match own.w.len() {
             0 | 1 => 1.0,
             count => {
                 let shares = SHARES.map(|decade| 10_f64.powi(-decade));
-                let (dealt, thins) = (ridge::assign_folds(seed, count), count >= ridge::FEW);
+                let (dealt, prefilter) = (ridge::assign_folds(seed, count), count >= ridge::FEW);
                 let errors = |part: &FoldSplit, share| part.errors(add_pooled(&part.others, share), ridge);
                 ridge::least(&ridge::errors_by_value(
                     shares,
-                    thins,
+                    prefilter,
                     ridge::split_folds(&own, &normal, &dealt),
                     errors,
                 ))?

@@ -8,11 +8,12 @@ use super::crossed::{self, CrossValidation};
 use super::ridge;
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::Pool;
-use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
+use crate::brain::linear::{self, Lags, Linear, Normal, Order, Sizes};
 use crate::stimuli::members;
 use crate::trial::{
     Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
 };
+use std::ops::Range;
 
 /// Largest number of unknowns of the longest memory: 0.7 GB and about 5 s per factorisation.
 const UNKNOWNS_MAX: usize = 9600;
@@ -60,11 +61,14 @@ impl ScaledSamples {
         Self { sizes, x, y, w, failed: samples.failed.clone(), pool: pool.clone() }
     }
 
-    /// Moments of the samples.
-    pub(crate) fn moments(&self) -> Moments {
-        let mut moments = Moments::new(self.sizes, &self.pool);
-        moments.add(&self.x, &self.y, &self.w);
-        moments
+    /// Normal equations of a memory.
+    pub(crate) fn normal(&self, lags: Lags) -> Normal {
+        self.normal_of(lags, lags.groups())
+    }
+
+    /// Normal equations of a memory with these groups of lags that share a weight.
+    pub(super) fn normal_of(&self, lags: Lags, groups: Vec<Range<usize>>) -> Normal {
+        Normal::new(self.sizes, [&self.x, &self.y, &self.w], lags, groups, &self.pool)
     }
 
     /// Selects samples in this order.
@@ -135,7 +139,7 @@ impl Trial<'_> {
         let choose = || {
             let (decoder, plain) =
                 (self.problem.decoder, ScaledSamples::of(&self.initial, &self.scales, self.pool));
-            decoder.ridge_of(self.problem.seed, &plain, &plain.moments().normal(decoder.lags))
+            decoder.ridge_of(self.problem.seed, &plain, &plain.normal(decoder.lags))
         };
         *self.initial_ridge.get_or_init(choose)
     }
@@ -163,8 +167,6 @@ pub(super) struct LinearLearner<'a> {
     trial: &'a Trial<'a>,
     /// Decoder of this step, and its factorisation if the implicit term needs it.
     linear: Option<(Linear, Option<linear::Fit>)>,
-    /// Memory for moments.
-    moments: Option<Moments>,
     /// Recent bodies' samples, with their normal equations.
     known: Vec<(Samples, Normal)>,
     /// The newest body's samples, decoded without them.
@@ -178,7 +180,7 @@ fn is_due(step: u32) -> bool {
 
 impl<'a> LinearLearner<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
-        Self { trial, linear: None, moments: None, known: Vec::new(), crossed: None }
+        Self { trial, linear: None, known: Vec::new(), crossed: None }
     }
 
     fn plain(&self, samples: &Samples) -> ScaledSamples {
@@ -252,11 +254,10 @@ impl<'a> LinearLearner<'a> {
     }
 
     /// Scaled samples of a body, and the numbers and normal equations of each fold's samples.
-    fn equations(&mut self, body: &Samples) -> (ScaledSamples, Vec<Vec<usize>>, Vec<Normal>) {
+    fn equations(&self, body: &Samples) -> (ScaledSamples, Vec<Vec<usize>>, Vec<Normal>) {
         let (samples, problem) = (self.plain(body), &self.trial.problem);
         let members = members(&ridge::assign_folds(problem.seed, samples.w.len()));
-        let moments = self.moments.get_or_insert_with(|| Moments::new(samples.sizes, self.trial.pool));
-        let parts = crossed::fold_equations(&samples, &members, problem.decoder.lags, moments);
+        let parts = crossed::fold_equations(&samples, &members, problem.decoder.lags);
         (samples, members, parts)
     }
 }
@@ -287,7 +288,7 @@ impl Learner for LinearLearner<'_> {
             FitOn::Recent(bodies, casts) => self.fit_recent(bodies, casts, learnt)?,
             FitOn::Optimum(train) | FitOn::Alike(train) => {
                 let train = self.plain(train);
-                let all = train.moments().normal(self.trial.problem.decoder.lags);
+                let all = train.normal(self.trial.problem.decoder.lags);
                 let ridge = self.ridge_at(step, &train, &all, learnt)?;
                 let fit = solve(all, ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));

@@ -25,14 +25,12 @@ pub struct Reading {
 /// Memories besides the whole sample (s): reach in both directions; look-ahead after the whole past.
 const REACHES: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.4];
 const WAITS: [f64; 7] = [0.0, 0.01, 0.025, 0.05, 0.1, 0.2, 0.4];
-/// Largest T · 3M, whose square is the number of moments: 0.7 GB. Largest T · 3M · T · K: as much again.
+/// Largest T · 3M: the decoder of longer samples would take minutes.
 pub const READINGS_MAX: usize = 9600;
-const CROSS_MAX: usize = 100_000_000;
 
-/// Whether the linear decoder of such samples fits into memory.
-pub fn fits(instants: usize, channels: usize, outputs: usize) -> bool {
-    let readings = instants.saturating_mul(channels);
-    readings <= READINGS_MAX && readings.saturating_mul(instants).saturating_mul(outputs) <= CROSS_MAX
+/// Whether a linear decoder of such samples takes a reasonable time.
+pub fn fits(instants: usize, channels: usize) -> bool {
+    instants.saturating_mul(channels) <= READINGS_MAX
 }
 
 fn reading(sets: &[ScaledSamples; 3], linear: &Linear, ridge: f64) -> Reading {
@@ -56,13 +54,13 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     let known = &sets[0];
     let sets = &sets.each_ref().map(|set| ScaledSamples::of(set, &trial.scales, trial.pool));
     let train = &sets[0];
-    let Sizes { instants, channels, outputs } = train.sizes;
-    if !fits(instants, channels, outputs) {
+    let Sizes { instants, channels, .. } = train.sizes;
+    if !fits(instants, channels) {
         return Ok(Vec::new());
     }
     let decoder = Decoder::whole(instants, channels);
     let (whole, reach) = (decoder.lags, decoder.lags.before);
-    let normal = train.moments().normal(whole);
+    let normal = train.normal(whole);
     let ridge = trial.ridge_for(&decoder, known, train, &normal)?;
     let read = |linear: &Linear| reading(sets, linear, ridge);
     let factor = |order| Fit::new(normal.clone(), ridge, order).map_err(|_| Trouble::Singular);
@@ -101,7 +99,7 @@ pub(crate) fn own_reading(
         _ => {
             let known = &sets[0];
             let sets = &sets.each_ref().map(|set| ScaledSamples::of(set, &trial.scales, trial.pool));
-            let normal = sets[0].moments().normal(decoder.lags);
+            let normal = sets[0].normal(decoder.lags);
             let ridge = trial.ridge_for(&decoder, known, &sets[0], &normal)?;
             reading(sets, &solve(normal, ridge)?.linear(), ridge)
         }

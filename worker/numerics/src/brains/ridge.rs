@@ -49,12 +49,14 @@ impl FoldSplit {
     }
 }
 
-/// λ for these samples with normal equations `all` and folds `dealt`.
+/// λ for these samples with normal equations `all` and folds `dealt`. Lags share weights as in training.
 ///
 /// # Errors
 /// If no λ gives a solution.
 pub(super) fn ridge_of(samples: &ScaledSamples, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
-    let (count, parts) = (samples.w.len(), split_folds(samples, all, dealt));
+    let groups = all.lags().training_groups(samples.sizes.channels);
+    let coarse = (groups != all.groups()).then(|| samples.normal_of(all.lags(), groups));
+    let (count, parts) = (samples.w.len(), split_folds(samples, coarse.as_ref().unwrap_or(all), dealt));
     one_se_choice(&errors_by_value(ridges(), count >= FEW, parts, FoldSplit::errors_of_others))
 }
 
@@ -79,7 +81,7 @@ pub(super) fn split_folds(
     let folds = if members.len() > 1 { members } else { Vec::new() };
     folds.into_iter().map(move |own| {
         let test = samples.select(&own);
-        let others = all.clone().plus(-1.0, &test.moments().normal(all.lags()));
+        let others = all.clone().plus(-1.0, &test.normal_of(all.lags(), all.groups().to_vec()));
         FoldSplit { judges: test, others }
     })
 }
@@ -89,8 +91,8 @@ pub(crate) fn ridges() -> impl Iterator<Item = f64> {
     RIDGES.map(|decade| 10_f64.powi(-decade))
 }
 
-/// The `values`, in order of preference, that have a solution in every fold, with the errors of all samples. `thins`: the first
-/// fold passes only a few values to the others.
+/// The `values`, in order of preference, that have a solution in every fold, with the errors of all samples. `prefilter`: the
+/// first fold passes only a few values to the others.
 pub(super) fn errors_by_value(
     values: impl Iterator<Item = f64>,
     prefilter: bool,

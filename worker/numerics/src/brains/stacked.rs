@@ -39,7 +39,7 @@ impl Stack {
         pool: &Pool,
     ) -> Result<Self, Trouble> {
         let known = ScaledSamples::of(known, &scales, pool);
-        let (all, dealt) = (known.moments().normal(decoder.lags), ridge::assign_folds(seed, known.w.len()));
+        let (all, dealt) = (known.normal(decoder.lags), ridge::assign_folds(seed, known.w.len()));
         let ridge = decoder.ridge_of(seed, &known, &all)?;
         let part = |part: FoldSplit| Ok(solve(part.others, ridge)?.linear());
         let parts = ridge::split_folds(&known, &all, &dealt).map(part).collect::<Result<_, Trouble>>()?;

@@ -8,10 +8,10 @@
 //! ```
 //! The problem is convex and solved exactly by a Cholesky factor of the normal matrix (`faer`), in f64.
 
-mod moments;
+mod normal;
 mod solve;
 
-pub use moments::{Moments, Normal};
+pub use normal::Normal;
 pub use solve::factor;
 pub use solve::{Fit, Order, Singular};
 
@@ -19,6 +19,7 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
+use realfft::{RealFftPlanner, num_complex::Complex};
 use std::ops::Range;
 
 /// Numbers of instants, signal channels and forces of a sample.
@@ -108,6 +109,13 @@ impl Lags {
     }
 }
 
+/// From signals to forces, or from cotangents on forces to cotangents on signals.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Forward,
+    Adjoint,
+}
+
 /// Weights of a linear decoder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linear {
@@ -157,10 +165,10 @@ impl Linear {
     /// # Panics
     /// If the length is not a multiple of T·C.
     pub fn predict(&self, x: &[f64]) -> Vec<f64> {
-        let Sizes { instants, outputs, .. } = self.sizes;
-        let mut predicted: Vec<f64> =
-            self.b.iter().copied().cycle().take(self.samples(x) * instants * outputs).collect();
-        self.add_product(x, &mut predicted);
+        let mut predicted = self.filtered(x, Direction::Forward);
+        for row in predicted.chunks_exact_mut(self.sizes.outputs) {
+            row.iter_mut().zip(&self.b).for_each(|(sum, b)| *sum += b);
+        }
         predicted
     }
 
@@ -169,36 +177,70 @@ impl Linear {
     /// # Panics
     /// If the length is not a multiple of T·K.
     pub fn predict_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
-        let Sizes { instants, channels, outputs } = self.sizes;
-        let (rows, columns) = (instants * channels, instants * outputs);
-        let samples = cotangent.len() / columns;
-        assert_eq!(cotangent.len(), samples * columns, "cotangent of {:?}", self.sizes);
-        let mut x = vec![0.0; samples * rows];
-        let toeplitz = self.toeplitz();
-        matmul(
-            matrix_mut(&mut x, rows, samples),
-            Accum::Replace,
-            matrix(&toeplitz, rows, columns),
-            matrix(cotangent, columns, samples),
-            1.0,
-            Par::Seq,
-        );
-        x
+        self.filtered(cotangent, Direction::Adjoint)
     }
 
-    /// f̂ += W ∗ x.
-    fn add_product(&self, x: &[f64], predicted: &mut [f64]) {
+    /// Σ_l W_kcl x_c(n + l) (N, T, K) of x (N, T, C), or its adjoint from (N, T, K) to (N, T, C), by Fourier transforms of samples
+    /// with zeros behind them, so that no sum wraps around.
+    fn filtered(&self, values: &[f64], direction: Direction) -> Vec<f64> {
         let Sizes { instants, channels, outputs } = self.sizes;
-        let (rows, columns, samples) = (instants * channels, instants * outputs, self.samples(x));
-        let toeplitz = self.toeplitz();
-        matmul(
-            matrix_mut(predicted, columns, samples),
-            Accum::Add,
-            matrix(&toeplitz, rows, columns).transpose(),
-            matrix(x, rows, samples),
-            1.0,
-            Par::Seq,
-        );
+        let Lags { before, after } = self.lags;
+        let (from, to) = match direction {
+            Direction::Forward => (channels, outputs),
+            Direction::Adjoint => (outputs, channels),
+        };
+        let samples = values.len() / (instants * from);
+        assert!(values.len() == samples * instants * from, "{} values of {:?}", values.len(), self.sizes);
+        let length = smooth_length(instants + before.max(after));
+        let mut planner = RealFftPlanner::<f64>::new();
+        let (forwards, backwards) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+        let (mut real, mut scratch) = (forwards.make_input_vec(), forwards.make_scratch_vec());
+        let bins = length / 2 + 1;
+        let mut transform = |entries: &mut dyn Iterator<Item = (usize, f64)>,
+                             spectrum: &mut [Complex<f64>]| {
+            real.fill(0.0);
+            entries.for_each(|(at, value)| real[at] = value);
+            forwards.process_with_scratch(&mut real, spectrum, &mut scratch).expect("lengths match");
+        };
+
+        // conj(H) for the sum over n + l, H for its adjoint
+        let mut filters = vec![Complex::default(); from * to * bins];
+        for (number, filter) in filters.chunks_exact_mut(bins).enumerate() {
+            let (input, output) = (number % from, number / from);
+            let (k, c) = match direction {
+                Direction::Forward => (output, input),
+                Direction::Adjoint => (input, output),
+            };
+            let weights = self.w[k * self.lags.count() * channels + c..].iter().step_by(channels);
+            let weights = weights.take(self.lags.count()).enumerate();
+            let scaled = |w: &f64| w / length as f64;
+            let mut of_lags = weights.map(|(lag, w)| ((length + lag - before) % length, scaled(w)));
+            transform(&mut of_lags, filter);
+            if direction == Direction::Forward {
+                filter.iter_mut().for_each(|h| *h = h.conj());
+            }
+        }
+        let mut spectra = vec![Complex::default(); from * bins];
+        let (mut sum, mut result) = (vec![Complex::default(); bins], vec![0.0; samples * instants * to]);
+        let (mut real, mut scratch) = (backwards.make_output_vec(), backwards.make_scratch_vec());
+        for (sample, found) in
+            values.chunks_exact(instants * from).zip(result.chunks_exact_mut(instants * to))
+        {
+            for (input, spectrum) in spectra.chunks_exact_mut(bins).enumerate() {
+                transform(&mut sample[input..].iter().step_by(from).copied().enumerate(), spectrum);
+            }
+            for (output, filters) in filters.chunks_exact(from * bins).enumerate() {
+                sum.fill(Complex::default());
+                for (spectrum, filter) in spectra.chunks_exact(bins).zip(filters.chunks_exact(bins)) {
+                    sum.iter_mut().zip(spectrum.iter().zip(filter)).for_each(|(sum, (x, h))| *sum += x * h);
+                }
+                // rounding: the first and last are real
+                [0, bins - 1].into_iter().for_each(|end| sum[end].im = 0.0);
+                backwards.process_with_scratch(&mut sum, &mut real, &mut scratch).expect("lengths match");
+                found[output..].iter_mut().step_by(to).zip(&real).for_each(|(to, x)| *to = *x);
+            }
+        }
+        result
     }
 
     fn samples(&self, x: &[f64]) -> usize {
@@ -206,19 +248,18 @@ impl Linear {
         assert!(x.len().is_multiple_of(one), "{} signals of {:?}", x.len(), self.sizes);
         x.len() / one
     }
+}
 
-    /// W as a matrix from (t, c) to (n, k), column-major, with entries W_kcl at l = t − n.
-    fn toeplitz(&self) -> Vec<f64> {
-        let Sizes { instants, channels, outputs } = self.sizes;
-        let Lags { before, after } = self.lags;
-        let mut columns = vec![0.0; instants * channels * instants * outputs];
-        for (j, column) in columns.chunks_exact_mut(instants * channels).enumerate() {
-            let (n, k) = (j / outputs, j % outputs);
-            let (first, last) = (n.saturating_sub(before), (n + after).min(instants - 1));
-            let from = (k * self.lags.count() + first + before - n) * channels;
-            let length = (last + 1 - first) * channels;
-            column[first * channels..][..length].copy_from_slice(&self.w[from..from + length]);
-        }
-        columns
-    }
+/// The smallest even number of at least `least` without a prime factor above 5.
+fn smooth_length(least: usize) -> usize {
+    let is_smooth = |n: &usize| {
+        let rest = [2, 3, 5].iter().fold(*n, |mut n, prime| {
+            while n.is_multiple_of(*prime) {
+                n /= prime;
+            }
+            n
+        });
+        n.is_multiple_of(2) && rest == 1
+    };
+    (least..).find(is_smooth).expect("a power of two")
 }

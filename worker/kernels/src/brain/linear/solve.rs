@@ -3,14 +3,13 @@
 //! The normal matrix of a memory whose lags come first is a leading block of G, and its factor is the leading block of G's
 //! factor: one factor serves all such memories.
 
-use super::moments::{Normal, by_group, lagged};
+use super::normal::{Normal, by_group, correlation, series};
 use super::{BLOCK, Lags, Linear, Sizes, add_symmetric, matrix, matrix_mut};
 use crate::Pool;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
-use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
-use faer::{Accum, Par, Spec};
+use faer::{Par, Spec};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -175,19 +174,21 @@ impl Linear {
     /// If the lengths do not match the same N.
     pub fn weights_vjp(&self, x: &[f64], cotangent: &[f64]) -> Self {
         let Sizes { instants, channels, outputs } = self.sizes;
-        let (rows, columns) = (instants * channels, instants * outputs);
-        let samples = x.len() / rows;
-        assert_eq!(cotangent.len(), samples * columns, "cotangent does not match {samples} samples");
-        let mut cross = vec![0.0; rows * columns];
-        matmul(
-            matrix_mut(&mut cross, rows, columns),
-            Accum::Replace,
-            matrix(x, rows, samples),
-            matrix(cotangent, columns, samples).transpose(),
-            1.0,
-            Par::Seq,
+        let samples = self.samples(x);
+        assert_eq!(
+            cotangent.len(),
+            samples * instants * outputs,
+            "cotangent does not match {samples} samples"
         );
-        let w = lagged(self.sizes, self.lags, outputs, |j| &cross[j * rows..(j + 1) * rows]);
+        let ones = vec![1.0; samples];
+        let [x, by_force] = [(x, channels), (cotangent, outputs)].map(|(of, width)| series(of, width, &ones));
+        let mut w = vec![0.0; self.w.len()];
+        for (to, force) in w.chunks_exact_mut(self.lags.count() * channels).zip(&by_force) {
+            for (c, x) in x.iter().enumerate() {
+                let by_lag = correlation(x, force, instants, self.lags);
+                to[c..].iter_mut().step_by(channels).zip(by_lag).for_each(|(to, sum)| *to = sum);
+            }
+        }
         let b = (0..outputs).map(|k| cotangent[k..].iter().step_by(outputs).sum()).collect();
         Self { w, b, ..*self }
     }

@@ -21,8 +21,8 @@ fn samples() -> ScaledSamples {
 }
 
 fn crossed(samples: &ScaledSamples, ridge: f64) -> CrossValidation {
-    let parts = fold_equations(samples, &members(&FOLDS), LAGS, &mut samples.moments());
-    let all = samples.moments().normal(LAGS);
+    let parts = fold_equations(samples, &members(&FOLDS), LAGS);
+    let all = samples.normal(LAGS);
     CrossValidation::new(samples.clone(), 3, members(&FOLDS), &parts, &all, ridge).unwrap()
 }
 
@@ -31,7 +31,7 @@ fn refitted(samples: &ScaledSamples, ridge: f64) -> Vec<Option<f64>> {
     let mut errors = vec![None; FOLDS.len()];
     for fold in 0..3 {
         let (own, others): (Vec<usize>, Vec<usize>) = (0..12).partition(|i| FOLDS[*i] == fold);
-        let linear = solve(samples.select(&others).moments().normal(LAGS), ridge).unwrap().linear();
+        let linear = solve(samples.select(&others).normal(LAGS), ridge).unwrap().linear();
         let own_samples = samples.select(&own);
         let found = own_samples.errors(&linear.predict(&own_samples.x));
         own.iter().zip(found).for_each(|(i, error)| errors[*i] = error);
@@ -101,10 +101,10 @@ fn steps_of_the_ridge_end_at_the_least_error() {
 fn earlier_samples_count_as_if_they_moved() {
     let samples = samples();
     let folds: Vec<usize> = (0..12).map(|i| i / 4).collect();
-    let own = samples.moments().normal(LAGS);
+    let own = samples.normal(LAGS);
     let others: Vec<usize> = (4..12).collect();
-    let all = own.clone().plus(0.4, &samples.select(&others).moments().normal(LAGS));
-    let parts = fold_equations(&samples, &members(&folds), LAGS, &mut samples.moments());
+    let all = own.clone().plus(0.4, &samples.select(&others).normal(LAGS));
+    let parts = fold_equations(&samples, &members(&folds), LAGS);
     let [alone, together] = [&own, &all].map(|all| {
         let crossed = CrossValidation::new(samples.clone(), 3, members(&folds), &parts, all, RIDGE);
         crossed.unwrap().vjp(&[1.0, 0.0, 0.0])

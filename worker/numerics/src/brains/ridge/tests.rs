@@ -46,13 +46,13 @@ fn parts_judge_what_they_were_not_fitted_to() {
     let pool = Pool::new(1).unwrap();
     let samples = samples(7, 0.1, &pool);
     let lags = crate::brain::linear::Lags { before: 1, after: 1 };
-    let (all, dealt) = (samples.moments().normal(lags), assign_folds(3, 7));
+    let (all, dealt) = (samples.normal(lags), assign_folds(3, 7));
     let own = split_folds(&samples, &all, &dealt);
     let found = super::errors_by_value([1e-3].into_iter(), false, own, FoldSplit::errors_of_others);
     assert_eq!(found[0].1.len(), 7);
     let own: Vec<usize> = (0..7).filter(|&i| dealt[i] == 0).collect();
     let others: Vec<usize> = (0..7).filter(|&i| dealt[i] != 0).collect();
-    let linear = solve(samples.select(&others).moments().normal(lags), 1e-3).unwrap().linear();
+    let linear = solve(samples.select(&others).normal(lags), 1e-3).unwrap().linear();
     let judges = samples.select(&own);
     for (found, expected) in found[0].1.iter().zip(judges.errors(&linear.predict(&judges.x))) {
         assert!((found.unwrap() - expected.unwrap()).abs() < 1e-9, "{found:?} {expected:?}");
@@ -65,7 +65,7 @@ fn too_few_samples_to_judge_have_a_neutral_value() {
     let pool = Pool::new(1).unwrap();
     let lags = crate::brain::linear::Lags { before: 1, after: 1 };
     let one = samples(1, 0.1, &pool);
-    assert_eq!(ridge_of(&one, &one.moments().normal(lags), &assign_folds(3, 1)), Ok(NEUTRAL));
+    assert_eq!(ridge_of(&one, &one.normal(lags), &assign_folds(3, 1)), Ok(NEUTRAL));
 }
 
 /// More noise gives a greater λ. With many samples, the reduced search gives the same λ as the full one, or its neighbour.
@@ -76,7 +76,7 @@ fn noise_asks_for_regularisation() {
     for count in [20, 80] {
         let of = |noise| {
             let samples = samples(count, noise, &pool);
-            let (all, dealt) = (samples.moments().normal(lags), assign_folds(3, count));
+            let (all, dealt) = (samples.normal(lags), assign_folds(3, count));
             let own = split_folds(&samples, &all, &dealt);
             let full = super::errors_by_value(ridges(), false, own, FoldSplit::errors_of_others);
             (ridge_of(&samples, &all, &dealt).unwrap(), one_se_choice(&full).unwrap())

@@ -133,8 +133,8 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
             let (folds, mut errors) = (assign_folds(problem.seed, all.w.len()), vec![0.0; all.w.len()]);
             for fold in 0..5 {
                 let (own, others): (Vec<_>, Vec<_>) = (0..folds.len()).partition(|i| folds[*i] == fold);
-                let moments = all.select(&others).moments();
-                let linear = solve(moments.normal(problem.decoder.lags), ridge).unwrap().linear();
+                let normal = all.select(&others).normal(problem.decoder.lags);
+                let linear = solve(normal, ridge).unwrap().linear();
                 let test = all.select(&own);
                 let found = test.errors(&linear.predict(&test.x));
                 own.iter().zip(found).for_each(|(i, error)| errors[*i] = 0.01 * error.unwrap());

@@ -161,7 +161,7 @@ pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
             ScaledSamples::of(&found.samples, &trial.scales, &pool)
         };
         let train = set(&trial.train);
-        let linear = solve(train.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
+        let linear = solve(train.normal(problem.decoder.lags), ridge).unwrap().linear();
         let test = set(&trial.test);
         0.01 * test.error(&linear.predict(&test.x)).unwrap()
     };
