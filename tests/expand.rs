@@ -235,7 +235,7 @@ fn committed_specs_keep_their_hashes() {
     quickstart 1e458c89c51ea0a8
     random 286d45edbe9c1528
     random-bodies-map ba35251987b96fde
-    real-scale 4b4bf13906cbda4d
+    real-scale 5396d9fbc8683175
     reference f69dce36048b28bd
     robust-two-core 31216fdd98101304
     size-map 613e0173fc2de345
@@ -244,7 +244,7 @@ fn committed_specs_keep_their_hashes() {
     transfer 0b8c88cffe467170
     two-forces 6251ca1d33765752
     who-senses 4c9c563f0b87e50c
-    why 0ace863b908f0e91
+    why 911469f71ee3033a
     ");
 }
 
