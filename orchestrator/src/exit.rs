@@ -14,7 +14,7 @@ pub enum Exit {
     Failed = 1,
     /// An error in the command line, the spec or the choice of database; nothing was started.
     BadInput = 2,
-    /// Reading or writing failed: disk full, database in use, locked or damaged.
+    /// Reading or writing failed: file not writable, database in use, locked or damaged.
     Io = 3,
     /// Stopped on request; `run` and other commands that keep their progress can resume.
     Interrupted = 4,
@@ -30,7 +30,7 @@ Exit codes:
      `control` command
   2  an error in the command line, the spec or the choice of database; nothing was started
      (`control`: no run holds the database)
-  3  reading or writing failed: disk full, database in use, locked or damaged
+  3  reading or writing failed: file not writable, database in use, locked or damaged
   4  stopped on request; the same `run` command resumes, and so do `lab evaluate` and `lab identify`
      with --out-dir; other commands start again
   5  this machine is unfit: it lacks a resource that the message names (threads, memory,
