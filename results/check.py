@@ -453,12 +453,12 @@ def elbow_law_asked():
         yield cells, [errors_by_sensors(of), str(law), *told, *beside]
 
 
-MIDDLE = dict(noise="0.03", damping_ratio="0.02", samples="150", width="[0.06,0.25]", columns="8")
+MIDDLE = dict(noise="0.03", damping_ratio="0.02", training_samples="120", width="[0.06,0.25]", columns="8")
 SETTINGS = {
     "base scene": {}, "without noise": dict(noise="0.0"), "10 % noise": dict(noise="0.1"),
-    "a quarter of the damping": dict(damping_ratio="0.005"), "60 samples instead of 150": dict(samples="60"),
+    "a quarter of the damping": dict(damping_ratio="0.005"), "30 training samples instead of 120": dict(training_samples="30"),
     "pulses of 20 to 80 ms": dict(width="[0.02,0.08]"), "4 columns instead of 8": dict(columns="4"),
-    "four times the damping": dict(damping_ratio="0.08"), "400 samples instead of 150": dict(samples="400"),
+    "four times the damping": dict(damping_ratio="0.08"), "370 training samples instead of 120": dict(training_samples="370"),
     "14 columns instead of 8": dict(columns="14"),
 }
 

@@ -223,8 +223,8 @@ fn committed_specs_keep_their_hashes() {
     fig4c cdb6e7edaff7021e
     fig5 a3ec099760be45bd
     filtered cc899af32b8ba722
-    four-forces 6a239346339ec0e8
-    four-forces-map 42e955fa5f00670e
+    four-forces 35a08e9b6ae529b6
+    four-forces-map 9183e9432d89c555
     four-forces-map-network 8308d75a3d2616a4
     gradient c39bace70d622cb2
     long-training 656d530cd0c8056b

@@ -14,7 +14,7 @@ use super::table;
 const MIDDLE: [(&str, &str); 5] = [
     ("noise", "0.03"),
     ("damping_ratio", "0.02"),
-    ("samples", "150"),
+    ("training_samples", "120"),
     ("width", "[0.06,0.25]"),
     ("columns", "8"),
 ];
@@ -25,11 +25,11 @@ pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
     ("without noise", "noise", "0.0"),
     ("10 % noise", "noise", "0.1"),
     ("a quarter of the damping", "damping_ratio", "0.005"),
-    ("60 samples instead of 150", "samples", "60"),
+    ("30 training samples instead of 120", "training_samples", "30"),
     ("pulses of 20 to 80 ms", "width", "[0.02,0.08]"),
     ("4 columns instead of 8", "columns", "4"),
     ("four times the damping", "damping_ratio", "0.08"),
-    ("400 samples instead of 150", "samples", "400"),
+    ("370 training samples instead of 120", "training_samples", "370"),
     ("14 columns instead of 8", "columns", "14"),
 ];
 
