@@ -67,10 +67,7 @@ impl Normal {
             Arch::new().dispatch(LaggedPairs { products, instants, lags, groups: &groups })
         };
         let of_channel = |x: &Vec<f64>| {
-            let of_force = |f: &Vec<f64>| {
-                let by_lag = correlation(x, f, instants, lags);
-                groups.iter().map(|group| by_lag[group.clone()].iter().sum()).collect::<Vec<f64>>()
-            };
+            let of_force = |f: &Vec<f64>| by_group(&groups, 1, &correlation(x, f, instants, lags));
             f.iter().map(of_force).collect::<Vec<_>>()
         };
         let (pairs, crossed): (Vec<_>, Vec<_>) = pool
@@ -104,7 +101,8 @@ impl Normal {
                 sum
             })
         };
-        let mean: Vec<Vec<f64>> = x.iter().map(|x| window_sums(&total(x), lags, &groups)).collect();
+        let mean_of = |x: &Vec<f64>| by_group(&groups, 1, &window_sums(&total(x), lags));
+        let mean: Vec<Vec<f64>> = x.iter().map(mean_of).collect();
         let mean = (0..unknowns).map(|i| mean[i % channels][i / channels]).collect();
         let mean_force = f.iter().map(|f| total(f).iter().sum()).collect();
         let weight = w.iter().sum::<f64>() * instants as f64;
@@ -258,13 +256,13 @@ impl NullaryFnOnce for LaggedPairs<'_> {
     }
 }
 
-/// Σ_{l∈b} Σ_n x(n + l) for each group b.
-fn window_sums(x: &[f64], lags: Lags, groups: &[Range<usize>]) -> Vec<f64> {
+/// Σ_n x(n + l) of each lag l.
+fn window_sums(x: &[f64], lags: Lags) -> Vec<f64> {
     let of_lag = |l: usize| match l.checked_sub(lags.before) {
         None => x[..x.len() + l - lags.before].iter().sum::<f64>(),
         Some(l) => x[l..].iter().sum(),
     };
-    groups.iter().map(|group| group.clone().map(of_lag).sum()).collect()
+    (0..lags.count()).map(of_lag).collect()
 }
 
 /// Sums the rows of each group of lags: from (lags · C, K) to (D, K).
