@@ -197,7 +197,8 @@ fn an_export_is_read_back_as_measured() {
     // the trained body again, with its design from a file
     bench.output(&["export", "results/s.sqlite", hash, "--format", "npy", "--out", "o.npy"]);
     call.extend(["--records", "again=optimised.toml", "--design", "again=o.npy"].map(String::from));
-    let call: Vec<&str> = call.iter().map(String::as_str).chain(["--format", "csv"]).collect();
+    call.extend(["--format", "csv", "--out-dir", "out"].map(String::from));
+    let call: Vec<&str> = call.iter().map(String::as_str).collect();
     let csv = bench.output(&call);
     for row in ["initial,simulated", "optimised,simulated"] {
         let [correlation, difference] = ["correlation", "difference"].map(|c| value(&csv, row, c).unwrap());
@@ -209,6 +210,10 @@ fn an_export_is_read_back_as_measured() {
         assert_eq!(again, optimised, "{csv}");
     }
     assert_eq!(value(&csv, "initial,measured", "records"), Some(12.0));
+    let page = std::fs::read_to_string(bench.path("out/index.html")).unwrap();
+    let [optimised, again] =
+        ["optimised", "again"].map(|body| page.find(&format!("times that of the {body} body")).unwrap());
+    assert!(optimised < again, "comparisons are in the order of the bodies");
 }
 
 /// Sensors placed by a search, which the spec does not name: records are those of their units.
@@ -258,7 +263,16 @@ fn bad_calls_are_refused() {
         (vec![initial, initial], "--records initial: given twice"),
         (vec!["--records", "initial=none.toml"], "cannot read none.toml"),
         (vec![initial, "--design", "o=other.npy"], "--design o: pass --records o=FILE"),
-        (vec![initial, "--design", "initial=none.npy"], "reading none.npy"),
+        (vec!["--records=o=bad.toml", "--design", "o=none.npy"], "reading none.npy"),
+        (
+            vec![initial, "--design", "initial=other.npy"],
+            "--design initial=other.npy: initial is the trial's own body; give the body another name",
+        ),
+        (
+            vec!["--records=o=bad.toml", "--design=o=other.npy", "--design=o=none.npy"],
+            "--design o: given twice; pass one file per body",
+        ),
+        (vec![initial, "--twin=initial=a.toml", "--twin=initial=b.toml"], "--twin initial: given twice"),
         (
             vec![initial, "--folds", "13"],
             "--records initial: --folds 13: must lie between 2 and 12, the number of records",

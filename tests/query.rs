@@ -48,6 +48,9 @@ async fn rows_come_in_every_form() {
     for view in ["v_trial", "v_step", "v_curve", "v_attempt", "v_error_time"] {
         assert!(bench.output(&["query", "s.sqlite"]).contains(view), "{view}");
     }
+    let views = ["query", "s.sqlite", "--format", "csv", "--out", "views.csv"];
+    assert_eq!(bench.output(&views), "");
+    assert_eq!(std::fs::read_to_string(bench.path("views.csv")).unwrap(), bench.output(&views[..4]));
 }
 
 /// Parquet files of a view have the same types whatever the database contains, also without rows.
@@ -83,16 +86,17 @@ async fn a_view_has_the_same_types_in_every_file() {
     assert_eq!((a, *b), (&Some(LogicalType::Unknown), Type::DOUBLE));
 }
 
-/// SQL has geometric means, medians and quantiles.
+/// SQL has geometric means, medians and quantiles, also of infinite values.
 #[tokio::test]
 async fn errors_are_averaged_and_ranked_in_sql() {
     let bench = Bench::new();
     database(&bench).await;
     let sql = "WITH errors(e) AS (VALUES (1.0), (2.0), (4.0), (8.0)) SELECT round(exp(avg(ln(e))), 6) AS geomean, \
-               median(e) AS median, round(percentile(e, 90), 6) AS p90, sqrt(pow(2, 4)) AS four FROM errors";
+               median(e) AS median, round(percentile(e, 90), 6) AS p90, sqrt(pow(2, 4)) AS four, \
+               (SELECT median(column1) FROM (VALUES (9e999), (9e999))) AS endless FROM errors";
     insta::assert_snapshot!(bench.output(&["query", "s.sqlite", sql, "--format", "csv"]), @r"
-    geomean,median,p90,four
-    2.828427,3.0,6.8,4.0
+    geomean,median,p90,four,endless
+    2.828427,3.0,6.8,4.0,inf
     ");
 }
 

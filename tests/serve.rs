@@ -381,6 +381,40 @@ async fn hostile_names_stay_text() {
     server.served.close().await;
 }
 
+/// Pages show values that no condition can contain without a link; the links of other values find their trials.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_link_to_trials_finds_them() {
+    let bench = Bench::new();
+    let db = bench.path("run.sqlite");
+    let plan = plan(&TINY.replace("[1, 2]", "[1]\nseeds = [1, 2, 3, 4]"));
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+    store.close().await.unwrap();
+    execute(
+        &db,
+        "UPDATE trial SET spec = json_set(spec, '$.channels', 'two words');
+         UPDATE trial SET spec = json_set(spec, '$.channels', json('[[\"ax\",\"ay\"]]')) WHERE seed > 2",
+    )
+    .await;
+    let server = Server::new(&[db]).await;
+    // the first page may be shown before the trials have been read
+    for _ in 0..100 {
+        if server.get("/0/trials").await.1.contains("4 trials of 4") {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    for path in ["/0/trials", "/0/map?down=channels"] {
+        let (_, page) = server.get(path).await;
+        let links = page.split("href=\"").filter_map(|rest| rest.split('"').next()?.split_once("?q="));
+        let links: Vec<&str> = links.map(|(_, q)| q).filter(|q| q.contains("channels")).collect();
+        assert!(links.len() == 1 && page.contains("[[&quot;ax&quot;,&quot;ay&quot;]]"), "{links:?}: {page}");
+        let (_, found) = server.get(&format!("/0/trials?q={}", links[0])).await;
+        assert!(found.contains("2 trials of 4"), "{links:?}: {found}");
+    }
+    server.served.close().await;
+}
+
 /// Shards of a folder are one database, including shards handed in later.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_of_shards_is_one_database() {

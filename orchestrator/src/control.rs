@@ -41,24 +41,36 @@ const CONNECTIONS: usize = 8;
 /// Largest number of worker processes of a run.
 pub const WORKERS_MAX: u32 = 1024;
 
-/// A command. `Display` and `FromStr` convert to and from its line.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A command, also of the command line. `Display` and `FromStr` convert to and from its line.
+#[derive(Debug, Clone, PartialEq, Eq, clap::Subcommand)]
 pub enum Command {
-    /// Print the state of the run.
+    /// Prints the state of the run: running, paused or stopping, busy workers, finished and pending trials
     State,
-    /// Start no trials, and stop the running ones so that they can resume.
+    /// Stops trials after their step in progress and starts none until `resume`; workers stay idle
     Pause,
-    /// Continue after a pause.
+    /// Resumes the run after a pause, each trial from its last step
     Resume,
-    /// Stop in order.
+    /// Ends the run cleanly, like one Ctrl-C; `run SPEC` resumes it
     Stop,
-    /// Cancel the trial whose hash starts so.
-    Cancel(String),
-    /// Give this trial to the next free worker.
-    Next(String),
-    /// Set the number of worker processes.
-    Workers(u32),
-    /// Read the spec again and add its new trials.
+    /// Cancels a trial; a running trial ends after its step in progress. It is stored as failed (`cancelled`), also for
+    /// later runs; `run SPEC --retry-failed` resumes it from its last step
+    Cancel {
+        /// Hash of the trial, or the beginning of it
+        hash: String,
+    },
+    /// Gives a pending trial to the next free worker
+    Next {
+        /// Hash of the trial, or the beginning of it
+        hash: String,
+    },
+    /// Changes the number of worker processes; surplus workers end when idle
+    Workers {
+        /// Number of worker processes, at least 1
+        #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(WORKERS_MAX)))]
+        count: u32,
+    },
+    /// Reads the spec again and adds its new trials. Trials that the spec no longer contains stay; [run] is not read again;
+    /// a spec with an error changes nothing
     Reload,
 }
 
@@ -81,9 +93,9 @@ const WORDS: [(&str, Command); 5] = [
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cancel(hash) => write!(f, "cancel {hash}"),
-            Self::Next(hash) => write!(f, "next {hash}"),
-            Self::Workers(count) => write!(f, "workers {count}"),
+            Self::Cancel { hash } => write!(f, "cancel {hash}"),
+            Self::Next { hash } => write!(f, "next {hash}"),
+            Self::Workers { count } => write!(f, "workers {count}"),
             word => f.write_str(WORDS.iter().find(|(_, known)| known == word).map_or("", |(word, _)| word)),
         }
     }
@@ -99,10 +111,11 @@ impl FromStr for Command {
         let words: Vec<&str> = line.split_whitespace().collect();
         let command = match words[..] {
             [word] => WORDS.into_iter().find(|(known, _)| *known == word).map(|(_, command)| command),
-            ["cancel", text] => hash(text).map(Self::Cancel),
-            ["next", text] => hash(text).map(Self::Next),
+            ["cancel", text] => hash(text).map(|hash| Self::Cancel { hash }),
+            ["next", text] => hash(text).map(|hash| Self::Next { hash }),
             ["workers", count] => {
-                count.parse().ok().filter(|count| (1..=WORKERS_MAX).contains(count)).map(Self::Workers)
+                let count = count.parse::<u32>().ok().filter(|count| (1..=WORKERS_MAX).contains(count));
+                count.map(|count| Self::Workers { count })
             }
             _ => None,
         };

@@ -8,6 +8,7 @@ use std::ffi::{CStr, c_int};
 use libsqlite3_sys as ffi;
 use sqlx::sqlite::SqliteConnection;
 
+use crate::analysis::numbers::quantile;
 pub(crate) use wait::wait_on;
 pub use wait::{hurry, wait_for_locks};
 
@@ -136,8 +137,6 @@ unsafe extern "C" fn end(context: *mut ffi::sqlite3_context) {
         let Values(mut values, percent) =
             *Box::from_raw(std::mem::replace(&mut *place, std::ptr::null_mut()));
         values.sort_by(f64::total_cmp);
-        let at = 0.01 * percent * values.len().saturating_sub(1) as f64;
-        let [low, high] = [at.floor(), at.ceil()].map(|at| values.get(at as usize).copied());
-        answer(context, low.zip(high).map(|(low, high)| low + (at - at.floor()) * (high - low)));
+        answer(context, (!values.is_empty()).then(|| quantile(&values, 0.01 * percent)));
     }
 }

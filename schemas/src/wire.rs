@@ -21,7 +21,8 @@ use crate::record::{Checkpoint, StepRecord, TrialResult};
 pub type Ipc = ipc_threadsafe::Service;
 
 /// A trial of this run and an attempt at it. Messages of attempts that are not current are dropped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, ZeroCopySend)]
+#[repr(C)]
 pub struct Lease {
     /// Position in the run's list of trials.
     pub trial: u32,
@@ -105,16 +106,6 @@ pub struct ArrayHead {
     pub end: usize,
 }
 
-/// Heartbeat: a worker has made progress with an attempt. May be lost.
-#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[repr(C)]
-pub struct Progress {
-    /// `Lease::trial`.
-    pub trial: u32,
-    /// `Lease::attempt`.
-    pub attempt: u32,
-}
-
 /// Longest interval at which an idle worker checks for messages, and the orchestrator for progress.
 pub const POLL: Duration = Duration::from_millis(200);
 /// Number of messages that may be queued per direction.
@@ -163,9 +154,9 @@ pub type MessageReceiver = Subscriber<Ipc, [u8], ()>;
 /// The arrays of a result in shared memory, borrowed until dropped.
 pub type Sample = iceoryx2::sample::Sample<Ipc, [u8], ()>;
 /// Sends progress.
-pub type BeatSender = Publisher<Ipc, Progress, ()>;
+pub type BeatSender = Publisher<Ipc, Lease, ()>;
 /// Receives progress.
-pub type BeatReceiver = Subscriber<Ipc, Progress, ()>;
+pub type BeatReceiver = Subscriber<Ipc, Lease, ()>;
 /// Wakes the other end.
 pub type Waker = iceoryx2::port::notifier::Notifier<Ipc>;
 /// Waits for wake-ups.
@@ -181,8 +172,8 @@ pub struct Services {
     pub up: Channel<[u8]>,
     /// Arrays of results.
     pub arrays: Channel<[u8]>,
-    /// Heartbeat.
-    pub progress: Channel<Progress>,
+    /// Heartbeat: the attempt with which a worker has made progress. May be lost.
+    pub progress: Channel<Lease>,
     /// Wakes the worker.
     pub wake_worker: Wakes,
     /// Wakes the orchestrator.
@@ -249,7 +240,7 @@ impl Services {
             down: pubsub!("down", [u8], MESSAGES, 1, false),
             up: pubsub!("up", [u8], MESSAGES, 1, false),
             arrays: pubsub!("arrays", [u8], ARRAYS, ARRAYS, false),
-            progress: pubsub!("progress", Progress, 64, 1, true),
+            progress: pubsub!("progress", Lease, 64, 1, true),
             wake_worker: event!("wake-worker"),
             wake_orchestrator: event!("wake-orchestrator"),
         })
@@ -273,12 +264,12 @@ impl Services {
     }
 
     /// Creates a receiver of progress.
-    pub fn beat_receiver(service: &Channel<Progress>) -> Result<BeatReceiver, LinkError> {
+    pub fn beat_receiver(service: &Channel<Lease>) -> Result<BeatReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of progress"))
     }
 
     /// Creates a sender of progress.
-    pub fn beat_sender(service: &Channel<Progress>) -> Result<BeatSender, LinkError> {
+    pub fn beat_sender(service: &Channel<Lease>) -> Result<BeatSender, LinkError> {
         service
             .publisher_builder()
             .max_loaned_samples(1)

@@ -36,44 +36,34 @@ const FILES: u64 = 8;
 /// Least stack of the main thread, and the value to which it is raised if possible (bytes).
 const MAIN_STACK: [u64; 2] = [2 << 20, 8 << 20];
 
-/// A limit that is too low.
+/// A limit that is too low, its use and the additional need.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {remedy}", self.fact())]
 pub struct Shortage {
-    /// Name of the limit.
-    pub what: String,
-    /// Value of the limit.
-    pub most: Amount,
-    /// Amount in use.
-    pub used: Amount,
-    /// Additional amount needed.
-    pub needed: Amount,
-    /// Remedy.
-    pub remedy: &'static str,
+    what: String,
+    most: u64,
+    used: u64,
+    needed: u64,
+    /// Whether these are sizes (bytes), not counts.
+    bytes: bool,
+    remedy: &'static str,
 }
 
 impl Shortage {
+    /// `None` if the limit allows the need.
+    fn if_short(self) -> Option<Self> {
+        (self.needed > 0 && self.used.saturating_add(self.needed) > self.most).then_some(self)
+    }
+
     /// Message without the remedy.
     fn fact(&self) -> String {
-        let Self { what, most, used, needed, .. } = self;
-        format!("{what}: {}, {} in use, {} needed", amount(*most), amount(*used), amount(*needed))
-    }
-}
-
-/// A count, or a size.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Amount {
-    /// A count.
-    Count(u64),
-    /// A size (bytes).
-    Bytes(u64),
-}
-
-fn amount(amount: Amount) -> String {
-    match amount {
-        Amount::Count(n) => n.to_string(),
-        Amount::Bytes(n) if n < 1 << 20 => format!("{} KiB", n.div_ceil(1 << 10)),
-        Amount::Bytes(n) => format!("{} MiB", n >> 20),
+        let amount = |n: u64| match self.bytes {
+            false => n.to_string(),
+            true if n < 1 << 20 => format!("{} KiB", n.div_ceil(1 << 10)),
+            true => format!("{} MiB", n >> 20),
+        };
+        let [most, used, needed] = [self.most, self.used, self.needed].map(amount);
+        format!("{}: {most}, {used} in use, {needed} needed", self.what)
     }
 }
 
@@ -88,28 +78,6 @@ pub struct Needs<'a> {
     pub files: &'a [&'a Path],
 }
 
-/// A limit, its use and the additional need.
-struct Limit {
-    what: String,
-    most: u64,
-    used: u64,
-    needed: u64,
-    bytes: bool,
-    remedy: &'static str,
-}
-
-impl Limit {
-    fn check(self) -> Result<(), Shortage> {
-        let Self { what, most, used, needed, bytes, remedy } = self;
-        if needed == 0 || used.saturating_add(needed) <= most {
-            return Ok(());
-        }
-        let [most, used, needed] =
-            [most, used, needed].map(if bytes { Amount::Bytes } else { Amount::Count });
-        Err(Shortage { what, most, used, needed, remedy })
-    }
-}
-
 /// Checks the needs against all limits.
 ///
 /// # Errors
@@ -122,7 +90,7 @@ pub fn check(needs: &Needs) -> Result<(), Shortage> {
         _ => workers * (threads + THREADS.iter().sum::<u64>()),
     };
     let shared = Path::new(SHARED_MEMORY);
-    let mut limits = vec![
+    let mut short = vec![
         user_threads(started),
         cgroup_tasks(started),
         machine_threads(started),
@@ -139,15 +107,15 @@ pub fn check(needs: &Needs) -> Result<(), Shortage> {
         space(shared, workers * SPACE_PER_WORKER, SHARED_SPACE),
         inodes(shared, workers * SHARED_FILES, SHARED_SPACE),
     ];
-    limits.extend(memory_of_process(SPACE.map(|spare| workers.min(1) * (spare + most_threads * STACK))));
+    short.extend(memory_of_process(SPACE.map(|spare| workers.min(1) * (spare + most_threads * STACK))));
     for file in needs.files {
         let size = fs::metadata(file).map_or(0, |file| file.len());
         let what = format!("size of a file (`ulimit -f`), here of {}", file.display());
-        limits.push(resource(Resource::Fsize, &what, size, FILE, true));
+        short.push(resource(Resource::Fsize, &what, size, FILE, true));
         let folder = existing(file);
-        limits.extend([space(&folder, FILE, ON_DISK), inodes(&folder, FILES, ON_DISK)]);
+        short.extend([space(&folder, FILE, ON_DISK), inodes(&folder, FILES, ON_DISK)]);
     }
-    limits.into_iter().flatten().try_for_each(Limit::check)
+    short.into_iter().flatten().next().map_or(Ok(()), Err)
 }
 
 /// Checks the limit on file sizes.
@@ -155,7 +123,7 @@ pub fn check(needs: &Needs) -> Result<(), Shortage> {
 /// # Errors
 /// The limit, if it is below `bytes`.
 pub fn check_file_size(bytes: u64) -> Result<(), Shortage> {
-    resource(Resource::Fsize, "size of a file (`ulimit -f`)", 0, bytes, true).map_or(Ok(()), Limit::check)
+    resource(Resource::Fsize, "size of a file (`ulimit -f`)", 0, bytes, true).map_or(Ok(()), Err)
 }
 
 const RAISE: &str = "raise it, or use fewer workers or threads";
@@ -164,14 +132,14 @@ const SHARED_SPACE: &str = "make room, enlarge it (`mount -o remount,size=1G /de
                             fewer workers";
 const ON_DISK: &str = "free space, or choose another folder";
 
-fn resource(limit: Resource, what: &str, used: u64, needed: u64, bytes: bool) -> Option<Limit> {
+fn resource(limit: Resource, what: &str, used: u64, needed: u64, bytes: bool) -> Option<Shortage> {
     let allowed = getrlimit(limit).current?;
     let remedy = if matches!(limit, Resource::Fsize | Resource::Stack) { RAISE_ALONE } else { RAISE };
-    Some(Limit { what: what.into(), most: allowed, used, needed, bytes, remedy })
+    Shortage { what: what.into(), most: allowed, used, needed, bytes, remedy }.if_short()
 }
 
 /// Limits on address space and data of this process, or of a process of equal size.
-fn memory_of_process(needed: [u64; 2]) -> [Option<Limit>; 2] {
+fn memory_of_process(needed: [u64; 2]) -> [Option<Shortage>; 2] {
     let own = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let [space, data] = ["VmSize:", "VmData:"].map(|name| field(&own, name).unwrap_or(0) << 10);
     [
@@ -181,13 +149,13 @@ fn memory_of_process(needed: [u64; 2]) -> [Option<Limit>; 2] {
 }
 
 /// Limit on descriptors of this process; `raise_limits` has raised the soft limit.
-fn descriptors(needed: u64) -> Option<Limit> {
+fn descriptors(needed: u64) -> Option<Shortage> {
     let used = fs::read_dir("/proc/self/fd").map_or(0, Iterator::count) as u64;
     resource(Resource::Nofile, "descriptors of a process (`ulimit -n`)", used, needed, false)
 }
 
 /// Limit on the threads of a user. The kernel exempts root and capable processes. Counts the visible processes.
-fn user_threads(needed: u64) -> Option<Limit> {
+fn user_threads(needed: u64) -> Option<Shortage> {
     if needed == 0 {
         return None;
     }
@@ -219,25 +187,25 @@ fn all_threads() -> Option<u64> {
     load.split_whitespace().nth(3)?.split_once('/')?.1.parse().ok()
 }
 
-fn machine_threads(needed: u64) -> Option<Limit> {
+fn machine_threads(needed: u64) -> Option<Shortage> {
     let used = all_threads()?;
     let limit = |name: &str| number(&Path::new("/proc/sys/kernel").join(name));
     let most = limit("threads-max")?.min(limit("pid_max")?);
     let what = "threads of this machine (kernel.threads-max, kernel.pid_max)".into();
-    Some(Limit { what, most, used, needed, bytes: false, remedy: "use fewer workers or threads" })
+    Shortage { what, most, used, needed, bytes: false, remedy: "use fewer workers or threads" }.if_short()
 }
 
-fn cgroup_tasks(needed: u64) -> Option<Limit> {
+fn cgroup_tasks(needed: u64) -> Option<Shortage> {
     let of = |group: &Path| Some((number(&group.join("pids.max"))?, number(&group.join("pids.current"))?));
     let (most, used) = tightest("pids", of)?;
     let what =
         "processes and threads of this container or job (cgroup's pids.max, `docker run --pids-limit`)"
             .into();
-    Some(Limit { what, most, used, needed, bytes: false, remedy: RAISE })
+    Shortage { what, most, used, needed, bytes: false, remedy: RAISE }.if_short()
 }
 
 /// Limit on the memory of the control group. The page cache counts as free.
-fn cgroup_memory(needed: u64) -> Option<Limit> {
+fn cgroup_memory(needed: u64) -> Option<Shortage> {
     let of = |group: &Path| {
         let most = memory_limit(group)?;
         let used = either(group, ["memory.current", "memory.usage_in_bytes"])?;
@@ -248,26 +216,27 @@ fn cgroup_memory(needed: u64) -> Option<Limit> {
     };
     let (most, used) = tightest("memory", of)?;
     let what = "memory of this container or job (its cgroup's limit)".into();
-    Some(Limit { what, most, used, needed, bytes: true, remedy: RAISE })
+    Shortage { what, most, used, needed, bytes: true, remedy: RAISE }.if_short()
 }
 
-fn memory(needed: u64) -> Option<Limit> {
+fn memory(needed: u64) -> Option<Shortage> {
     let text = fs::read_to_string("/proc/meminfo").ok()?;
     let (total, free) = (field(&text, "MemTotal:")? << 10, field(&text, "MemAvailable:")? << 10);
     let (what, used) = ("memory of this machine".into(), total.saturating_sub(free));
-    Some(Limit { what, most: total, used, needed, bytes: true, remedy: "free memory, or use fewer workers" })
+    let remedy = "free memory, or use fewer workers";
+    Shortage { what, most: total, used, needed, bytes: true, remedy }.if_short()
 }
 
-fn space(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {
+fn space(folder: &Path, needed: u64, remedy: &'static str) -> Option<Shortage> {
     let what = format!("free space in {}", folder.display());
-    Some(Limit { what, most: free_space(folder)?, used: 0, needed, bytes: true, remedy })
+    Shortage { what, most: free_space(folder)?, used: 0, needed, bytes: true, remedy }.if_short()
 }
 
 /// `None` for file systems without a limit on inodes.
-fn inodes(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {
+fn inodes(folder: &Path, needed: u64, remedy: &'static str) -> Option<Shortage> {
     let disk = rustix::fs::statvfs(folder).ok().filter(|disk| disk.f_files > 0)?;
     let what = format!("free inodes (`df -i`) in {}", folder.display());
-    Some(Limit { what, most: disk.f_favail, used: 0, needed, bytes: false, remedy })
+    Shortage { what, most: disk.f_favail, used: 0, needed, bytes: false, remedy }.if_short()
 }
 
 /// The closest existing parent folder of a file.
@@ -374,7 +343,8 @@ pub fn check_start() -> Result<(), Shortage> {
     }
     let stack = resource(Resource::Stack, "stack (`ulimit -s`)", 0, least, true);
     let [space, data] = memory_of_process(START);
-    [stack, space, data, descriptors(START_DESCRIPTORS)].into_iter().flatten().try_for_each(Limit::check)?;
+    let short = [stack, space, data, descriptors(START_DESCRIPTORS)].into_iter().flatten().next();
+    short.map_or(Ok(()), Err)?;
     match std::thread::Builder::new().stack_size(64 << 10).spawn(|| ()) {
         Ok(thread) => drop(thread.join()),
         Err(_) => check(&Needs { threads: 2, ..Needs::default() })?,

@@ -15,8 +15,8 @@ use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
-    self, BackpressureStrategy, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Progress,
-    Services, Sleeper, Start, ToOrchestrator, ToWorker, Waker,
+    self, BackpressureStrategy, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Services,
+    Sleeper, Start, ToOrchestrator, ToWorker, Waker,
 };
 use rustix::process;
 
@@ -360,9 +360,8 @@ struct Beats<'a> {
 
 impl Beats<'_> {
     fn send(&self) {
-        let Lease { trial, attempt } = self.lease;
         // A lost beat does no harm.
-        let _ = self.sender.send_copy(Progress { trial, attempt });
+        let _ = self.sender.send_copy(self.lease);
     }
 
     /// Sends beats while the computation progresses, until `done`.

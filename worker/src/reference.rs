@@ -1,7 +1,7 @@
 //! The reference scene of `MODEL.md` and its forces, for speed measurements, benchmarks and checks.
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Forces, Frame, Panel, PartFactors, Scene, Stiffness};
+use metasense_numerics::dynamics::{Forces, Panel, Scene, Stiffness};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::stimuli::{self, Bell};
 
@@ -11,24 +11,14 @@ pub fn reference() -> Scene {
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: PartFactors::default(),
-        relaxation: None,
         damping_ratio: 0.02,
-        damping: None,
-        inertia: None,
-        contact: None,
-        linearised: false,
         clamped: layout.bottom(),
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
         sensors: vec![21],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
         duration: 1.0,
         instants: 200,
         layout,
+        ..Scene::default()
     }
 }
 

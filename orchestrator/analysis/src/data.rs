@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::kinds::{brains, format_brains, objective};
 use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
-use metasense_render::cell::plain;
+use metasense_render::cell::brief;
 
 /// An error (%) at one value of an axis, such as the number of sensors or of design parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -307,25 +307,10 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
             path => differs.contains(path),
         };
         if !is_implied && is_distinguishing {
-            parts.push(format!("{path} = {}", shorten_value(value)));
+            parts.push(format!("{path} = {}", brief(value)));
         }
     }
     parts.join(", ")
-}
-
-/// Formats a value for a label; a long list as its length and a short hash.
-fn shorten_value(value: &Value) -> String {
-    const MOST: usize = 12;
-    match value {
-        Value::Array(numbers) if numbers.len() > MOST => {
-            let name = blake3::hash(value.to_string().as_bytes()).to_hex();
-            format!("{} numbers ({})", numbers.len(), &name[..6])
-        }
-        Value::String(digest) if digest.len() == 64 && digest.bytes().all(|b| b.is_ascii_hexdigit()) => {
-            digest[..6].to_owned()
-        }
-        other => plain(other),
-    }
 }
 
 /// Returns the errors of trials along an axis.

@@ -76,8 +76,6 @@ pub enum Verdict {
 /// The elbow of one curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Elbow {
-    /// Error at each M.
-    pub levels: Vec<Level>,
     /// Elbow of the broken stick from all data; `None`: no elbow.
     pub broken_stick: Option<f64>,
     /// The same without the largest M, if four values are left.
@@ -114,10 +112,8 @@ impl Elbow {
 /// Gain from further sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gain {
-    /// M before.
+    /// M before; after: the next value.
     pub from: f64,
-    /// M after: the next value.
-    pub to: f64,
     /// Error before divided by error after, within clusters; above 1: less error with more sensors.
     pub ratio: f64,
     /// Its 95 % interval; `None` with too few units.
@@ -169,7 +165,6 @@ pub fn elbow(observations: &[Observation], scale: ErrorScale) -> Result<Elbow, T
         gains: gains(observations),
         verdict,
         over: resampling.over(),
-        levels,
     })
 }
 
@@ -357,7 +352,6 @@ pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
         let found = Ratio::weighed(&resampling, &logs, 0);
         Gain {
             from: grid.places[from],
-            to: grid.places[from + 1],
             ratio: found.as_ref().map_or(f64::NAN, |found| found.ratio),
             interval: found.and_then(|found| found.interval),
         }

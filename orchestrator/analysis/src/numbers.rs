@@ -62,9 +62,9 @@ pub fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     assert!(!sorted.is_empty(), "a quantile needs at least one value");
     let at = q * (sorted.len() - 1) as f64;
-    let below = at.floor() as usize;
-    let above = (below + 1).min(sorted.len() - 1);
-    sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
+    let [low, high] = [at.floor(), at.ceil()].map(|at| sorted[at as usize]);
+    // the difference of equal infinities is NaN
+    if low == high { low } else { low + at.fract() * (high - low) }
 }
 
 /// Returns the median; of an even number of values, the mean of the two middle ones.
@@ -93,4 +93,15 @@ pub fn network_mean(
 /// Returns the largest number of samples above 100 % of any network; `None` if unknown.
 pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
     networks.iter().filter_map(|network| Some(network.spread?.above)).max()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_of_infinite_values_are_infinite() {
+        let values = [1.0, f64::INFINITY, f64::INFINITY];
+        assert_eq!([0.0, 0.25, 0.75].map(|q| quantile(&values, q)), values);
+    }
 }

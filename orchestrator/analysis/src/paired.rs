@@ -134,9 +134,9 @@ impl Progress {
     }
 }
 
-/// Returns the first iteration at which a curve is at most `target`.
-pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {
-    curve.iter().find(|(_, value)| *value <= target).map(|(iteration, _)| *iteration)
+/// Returns the first iteration or time at which a curve is at most `target`.
+pub fn first_at<T: Copy>(curve: &[(T, f64)], target: f64) -> Option<T> {
+    curve.iter().find(|(_, value)| *value <= target).map(|(at, _)| *at)
 }
 
 /// Returns the iterations on the initial body divided by those on the trained body, until each first reaches the larger of the

@@ -5,6 +5,7 @@
 //! units: the range of five contains the median in only 93.8 % of cases.
 
 use super::numbers::{geometric_mean, in_order};
+use super::paired::first_at;
 use super::resample::Resampling;
 use super::trial::{Cluster, Trial};
 
@@ -25,11 +26,6 @@ pub fn pareto(points: &[ErrorAtTime]) -> Vec<usize> {
     order
 }
 
-/// Returns the seconds until the smallest error so far is at most `error`.
-pub fn time_to(history: &[ErrorAtTime], error: f64) -> Option<f64> {
-    history.iter().find(|(_, best)| *best <= error).map(|(seconds, _)| *seconds)
-}
-
 /// A possibly censored time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CensoredTime {
@@ -44,7 +40,7 @@ pub struct CensoredTime {
 impl CensoredTime {
     /// Returns the time of a trial to an error (%); `None` without steps.
     pub fn new(trial: &Trial, error: f64) -> Option<Self> {
-        let reached = time_to(&trial.history, error);
+        let reached = first_at(&trial.history, error);
         let seconds = reached.or(trial.history.last().map(|last| last.0))?;
         Some(Self { cluster: trial.cluster, seconds, reached: reached.is_some() })
     }

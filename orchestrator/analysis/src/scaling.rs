@@ -55,8 +55,6 @@ impl Law {
 pub struct Scaling {
     /// The best fit.
     pub law: Law,
-    /// Interval of the scale.
-    pub scale: Option<Interval>,
     /// Interval of the exponent.
     pub exponent: Option<Interval>,
     /// Interval of the floor.
@@ -119,7 +117,6 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     let freedom = observations.len().saturating_sub(3).max(1);
     let mut scaling = Scaling {
         law,
-        scale: of(|l| l.scale.ln()).map(|i| i.map(f64::exp)),
         exponent: of(|l| l.exponent.ln()).map(|i| i.map(f64::exp)),
         floor: of(|l| l.floor).map(|i| i.map(|c| c.max(0.0))),
         held_out: held_out(observations, &clusters, &units, &law),

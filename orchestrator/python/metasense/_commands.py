@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike, fspath
@@ -11,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from metasense import _metasense
-from metasense._results import ERRORS, Bar, Database, changes, conducted, is_watched, program
+from metasense._results import ERRORS, Bar, Database, changes, conducted, flags, is_watched, program
 
 Source = Database | str | PathLike[str]
 File = str | PathLike[str]
@@ -20,26 +19,6 @@ File = str | PathLike[str]
 def _words(source: Source, hash: str | None, overrides: Mapping[str, object]) -> list[str]:
     path = source.path if isinstance(source, Database) else source
     return [fspath(path), *([] if hash is None else [hash]), *changes(overrides)]
-
-
-def _options(given: Mapping[str, object]) -> list[str]:
-    """`--name value` of each that is given; a list is separated by commas, True an option alone."""
-    words: list[str] = []
-    for name, value in given.items():
-        option = "--" + name.replace("_", "-")
-        if value is True:
-            words.append(option)
-        elif value is not None and value is not False:
-            listed = isinstance(value, Sequence) and not isinstance(value, str)
-            text = (
-                ",".join(map(str, value))
-                if isinstance(value, Sequence) and listed
-                else os.fspath(value)
-                if isinstance(value, PathLike)
-                else str(value)
-            )
-            words.append(f"{option}={text}")
-    return words
 
 
 def _said(words: Sequence[str], bar: Bar | None = None, lines: bool = False, level: int = 3) -> tuple[int, str, str]:
@@ -87,7 +66,7 @@ def trial(source: Source, hash: str | None = None, *, threads: int = 1, **overri
     `source` is a spec file, with `overrides` as in `run` and by default its first trial, or a database. Raises ValueError if the
     spec is wrong, RuntimeError if the training fails.
     """
-    [row] = _rows(["trial", *_words(source, hash, overrides), *_options({"threads": threads})])
+    [row] = _rows(["trial", *_words(source, hash, overrides), *flags({"threads": threads})])
     return row
 
 
@@ -107,7 +86,7 @@ def design(
     words = changes(overrides)
     where = Path(db if db is not None else _metasense.default_database(spec, words))
     bar = Bar(where) if progress and is_watched() else None
-    command = ["design", fspath(spec), *words, *_options({"db": db, "workers": workers, "threads": threads})]
+    command = ["design", fspath(spec), *words, *flags({"db": db, "workers": workers, "threads": threads})]
     return _rows(command, bar, lines=progress and bar is None)
 
 
@@ -129,7 +108,7 @@ def evaluate(
     """
     of_bodies = [("--records", records), ("--design", designs or {}), ("--twin", twins or {})]
     named = [word for option, files in of_bodies for body, file in files.items() for word in (option, f"{body}={fspath(file)}")]
-    options = _options({"brain": brain, "folds": folds, "out_dir": out_dir})
+    options = flags({"brain": brain, "folds": folds, "out_dir": out_dir})
     return _rows(["lab", "evaluate", *_words(source, hash, overrides), *named, *options])
 
 
@@ -149,7 +128,7 @@ def identify(
     `fit` names parameters: stretch, shear, bend, damping, density, contact. Warns if the fit does not converge or the records do not
     determine a parameter; `outcome` says which.
     """
-    options = _options({"records": records, "design": design, "fit": fit, "threads": threads, "out_dir": out_dir})
+    options = flags({"records": records, "design": design, "fit": fit, "threads": threads, "out_dir": out_dir})
     return _rows(["lab", "identify", *_words(source, hash, overrides), *options])
 
 
@@ -173,7 +152,7 @@ def casts(
             file = Path(folder, "variation.toml")
             file.write_text("\n".join(changes({"variation": variation})))
             variation = file
-        options = _options({"design": design, "casts": casts, "variation": variation, "rows": rows})
+        options = flags({"design": design, "casts": casts, "variation": variation, "rows": rows})
         return _rows(["body", "casts", *_words(source, hash, overrides), *options])
 
 
@@ -181,7 +160,7 @@ def report(db: Source, hash: str | None = None, *, out: File | None = None, out_
     """Writes the answers and figures of a database into one HTML file, by default beside the database. Returns its path."""
     path = db.path if isinstance(db, Database) else Path(db)
     to = Path(out) if out is not None else path.with_suffix(".html")
-    _said(["report", *_words(db, hash, {}), *_options({"out": to, "out_dir": out_dir})])
+    _said(["report", *_words(db, hash, {}), *flags({"out": to, "out_dir": out_dir})])
     return to
 
 
@@ -191,5 +170,5 @@ def export(source: Source, hash: str | None = None, *, format: str, out: File, *
     `format`: npz, csv, parquet, npy, svg, dxf, stl, c, onnx or device. `options` are those of `metasense export`, such as
     design="initial" or mould="height=12" (mm).
     """
-    _said(["export", *_words(source, hash, {}), *_options({"format": format, "out": out, **options})])
+    _said(["export", *_words(source, hash, {}), *flags({"format": format, "out": out, **options})])
     return Path(out)

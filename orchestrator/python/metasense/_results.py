@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -68,6 +68,20 @@ def changes(given: Mapping[str, object]) -> list[str]:
     return words
 
 
+def flags(given: Mapping[str, object]) -> list[str]:
+    """`--name=value` of each that is given; a list is separated by commas, True an option alone."""
+    words: list[str] = []
+    for name, value in given.items():
+        option = "--" + name.replace("_", "-")
+        if value is True:
+            words.append(option)
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            words.append(f"{option}={','.join(map(str, value))}")
+        elif value is not None and value is not False:
+            words.append(f"{option}={fspath(value) if isinstance(value, PathLike) else str(value)}")
+    return words
+
+
 def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
 
@@ -104,10 +118,8 @@ def run(
     meanwhile, stops the run in order; a second one stops it at once. If this process is killed, its run stops in order, too.
     """
     words = changes(overrides)
-    command: list[str] = [fspath(program()), "run", fspath(spec), *words, "--parent", str(os.getpid())]
-    for name, value in [("--db", db), ("--workers", workers), ("--threads", threads)]:
-        if value is not None:
-            command += [name, fspath(value) if isinstance(value, PathLike) else str(value)]
+    options = flags({"parent": os.getpid(), "db": db, "workers": workers, "threads": threads})
+    command = [fspath(program()), "run", fspath(spec), *words, *options]
     bar = Bar(Path(db if db is not None else _metasense.default_database(spec, words))) if progress and is_watched() else None
     code, _, said = conducted(command, lines=progress and bar is None, bar=bar)
     if code not in (0, 1):

@@ -31,6 +31,27 @@ pub fn plain(cell: &Value) -> String {
     }
 }
 
+/// A value of a spec in few characters: of a long list its length, of a body from a file its number of units, of other long lists
+/// and tables the beginning, each with a short hash; of a digest the first digits.
+pub fn brief(value: &Value) -> String {
+    const MOST: usize = 12;
+    const WIDEST: usize = 48;
+    let text = plain(value);
+    let named = |what: String| format!("{what} ({})", &blake3::hash(text.as_bytes()).to_hex()[..6]);
+    let units = value.get("units").and_then(Value::as_array);
+    match (value, units, text.char_indices().nth(WIDEST)) {
+        (_, Some(units), _) => named(format!("{} units", units.len())),
+        (Value::Array(numbers), ..) if numbers.len() > MOST => named(format!("{} numbers", numbers.len())),
+        (Value::Array(_) | Value::Object(_), _, Some((end, _))) => named(format!("{}…", &text[..end])),
+        (Value::String(digest), ..)
+            if digest.len() == 64 && digest.bytes().all(|b| b.is_ascii_hexdigit()) =>
+        {
+            digest[..6].to_owned()
+        }
+        _ => text,
+    }
+}
+
 /// The cell as JSON that reads back as the same value: ±∞ as `9e999` and `-9e999`, as SQLite writes them.
 pub fn json(cell: &Value) -> String {
     match infinite(cell) {

@@ -122,10 +122,10 @@ fn parts(name: &str) -> impl Iterator<Item = &str> {
     name.split_inclusive(['_', '.', ' '])
 }
 
-/// A name in lines of at most this width, where its parts allow.
-fn split_name(name: &str, most: usize) -> Vec<String> {
-    let mut found: Vec<String> = vec![String::new()];
-    for part in parts(name) {
+/// Parts of a text in lines of at most this width, where they allow.
+fn packed<'a>(parts: impl Iterator<Item = &'a str>, most: usize) -> Vec<String> {
+    let mut found = vec![String::new()];
+    for part in parts {
         let line = found.last_mut().expect("there is one");
         match line.is_empty() || width(line) + width(part) <= most {
             true => line.push_str(part),
@@ -137,6 +137,7 @@ fn split_name(name: &str, most: usize) -> Vec<String> {
 
 /// Wraps a text to this width. Longer words break after commas and similar characters, otherwise between letters.
 fn wrapped(text: &str, most: usize) -> Vec<String> {
+    let letters = |piece| str::split_inclusive(piece, |_: char| true);
     let mut found = Vec::new();
     for line in text.lines() {
         if width(line) <= most {
@@ -149,7 +150,7 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
             let long = width(word) > most;
             let pieces: Vec<&str> =
                 if long { word.split_inclusive([',', ';', '/', '&']).collect() } else { vec![word] };
-            for piece in pieces.into_iter().flat_map(|piece| letters(piece, most.max(1))) {
+            for piece in pieces.into_iter().flat_map(|piece| packed(letters(piece), most.max(1))) {
                 if !current.is_empty() && width(&current) + usize::from(begins) + width(&piece) > most {
                     found.push(std::mem::take(&mut current));
                 } else if begins {
@@ -160,19 +161,6 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
             }
         }
         found.push(current);
-    }
-    found
-}
-
-/// A word in pieces of at most this width.
-fn letters(word: &str, most: usize) -> Vec<String> {
-    let mut found = vec![String::new()];
-    for letter in word.chars() {
-        let last = found.last_mut().expect("there is one");
-        match last.is_empty() || width(last) + width(letter.encode_utf8(&mut [0; 4])) <= most {
-            true => last.push(letter),
-            false => found.push(letter.to_string()),
-        }
     }
     found
 }
@@ -211,7 +199,7 @@ fn grid(columns: &[Column], widths: &[usize], style: &Style) -> String {
         };
         (0..height).map(line).collect::<Vec<_>>().join("\n")
     };
-    let mut said = vec![row(columns.iter().zip(widths).map(|(c, w)| split_name(&c.name, *w)).collect())];
+    let mut said = vec![row(columns.iter().zip(widths).map(|(c, w)| packed(parts(&c.name), *w)).collect())];
     said.push(framed(widths.iter().map(|width| "-".repeat(*width)).collect(), style.line));
     for n in 0..columns.first().map_or(0, |column| column.cells.len()) {
         said.push(row(columns.iter().zip(widths).map(|(c, w)| wrapped(&c.cells[n], *w)).collect()));

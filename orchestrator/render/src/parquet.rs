@@ -70,13 +70,6 @@ fn widen(kinds: &mut [Kind], row: &[Value]) {
     }
 }
 
-/// Widens the types to the declared ones.
-fn declare(kinds: &mut [Kind], types: &[String]) {
-    for (kind, sql) in kinds.iter_mut().zip(types) {
-        *kind = kind.declared(sql);
-    }
-}
-
 /// Writes the table as a Parquet file; for `types` see [`super::RowWriter::typed`].
 ///
 /// # Errors
@@ -84,8 +77,7 @@ fn declare(kinds: &mut [Kind], types: &[String]) {
 pub fn parquet(table: &Table, types: &[String], out: impl Write + Send) -> io::Result<()> {
     let mut kinds = vec![Kind::Null; table.columns.len()];
     table.rows.iter().for_each(|row| widen(&mut kinds, row));
-    declare(&mut kinds, types);
-    write(out, &table.columns, &kinds, table.rows.chunks(GROUP).map(Ok)).map_err(output_error)
+    write(out, &table.columns, kinds, types, table.rows.chunks(GROUP).map(Ok)).map_err(output_error)
 }
 
 /// Writes rows one by one. Column types are known only after the last row, so rows first go to an unnamed temporary file.
@@ -123,8 +115,7 @@ impl<W: Write + Send> Parquet<W> {
     ///
     /// # Errors
     /// If writing to `out` fails.
-    pub fn end(mut self) -> io::Result<()> {
-        declare(&mut self.kinds, &self.types);
+    pub fn end(self) -> io::Result<()> {
         let mut file = self.rows.into_inner()?;
         file.rewind()?;
         let mut lines = BufReader::new(file).lines();
@@ -133,18 +124,22 @@ impl<W: Write + Send> Parquet<W> {
             let rows: io::Result<Vec<Vec<Value>>> = lines.by_ref().take(GROUP).map(read).collect();
             rows.map(|rows| (!rows.is_empty()).then_some(rows)).transpose()
         });
-        write(self.out, &self.columns, &self.kinds, groups).map_err(output_error)
+        write(self.out, &self.columns, self.kinds, &self.types, groups).map_err(output_error)
     }
 }
 
-/// Writes the groups of rows of an iterator.
+/// Widens the types to the declared ones, and writes the groups of rows of an iterator.
 fn write<R: AsRef<[Vec<Value>]>>(
     out: impl Write + Send,
     columns: &[String],
-    kinds: &[Kind],
+    mut kinds: Vec<Kind>,
+    types: &[String],
     groups: impl Iterator<Item = io::Result<R>>,
 ) -> Result<(), ParquetError> {
-    let fields = columns.iter().zip(kinds).map(|(name, kind)| kind.column(name));
+    for (kind, sql) in kinds.iter_mut().zip(types) {
+        *kind = kind.declared(sql);
+    }
+    let fields = columns.iter().zip(&kinds).map(|(name, kind)| kind.column(name));
     let schema = Type::group_type_builder("rows").with_fields(fields.collect::<Result<_, _>>()?).build()?;
     let properties = WriterProperties::builder()
         .set_created_by("metasense".into())

@@ -57,37 +57,30 @@ impl Table {
 
     /// Removes these columns.
     pub fn drop_columns(&mut self, names: &[&str]) {
-        let kept: Vec<bool> = self.columns.iter().map(|column| !names.contains(&column.as_str())).collect();
-        let keep = |i: &mut usize| {
-            *i += 1;
-            kept[*i - 1]
-        };
-        let mut at = 0;
-        self.columns.retain(|_| keep(&mut at));
-        for row in &mut self.rows {
-            let mut at = 0;
-            row.retain(|_| keep(&mut at));
-        }
+        self.retain(|table, at| !names.contains(&table.columns[at].as_str()));
     }
 
     /// Removes those of the [`SPREAD`] columns in which every value is NULL or zero.
     pub fn leave_out_spread(&mut self) {
-        let says = |at: usize| self.rows.iter().any(|row| !row[at].is_null() && row[at] != 0);
-        let found = self.columns.iter().enumerate();
-        let empty = found.filter(|(at, column)| SPREAD.contains(&column.as_str()) && !says(*at));
-        let empty: Vec<String> = empty.map(|(_, column)| column.clone()).collect();
-        self.drop_columns(&empty.iter().map(String::as_str).collect::<Vec<_>>());
+        self.retain(|table, at| {
+            let says = |row: &Vec<Value>| !row[at].is_null() && row[at] != 0;
+            !SPREAD.contains(&table.columns[at].as_str()) || table.rows.iter().any(says)
+        });
     }
 
     /// A copy without the columns in which every value is NULL.
     pub fn without_empty_columns(&self) -> Self {
-        let full: Vec<usize> =
-            (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
-        let pick = |row: &Vec<Value>| full.iter().map(|&i| row[i].clone()).collect();
-        Self {
-            columns: full.iter().map(|&i| self.columns[i].clone()).collect(),
-            rows: self.rows.iter().map(pick).collect(),
-        }
+        let mut table = self.clone();
+        table.retain(|table, at| table.rows.iter().any(|row| !row[at].is_null()));
+        table
+    }
+
+    /// Removes the columns that `keeps` rejects, by position.
+    fn retain(&mut self, keeps: impl Fn(&Self, usize) -> bool) {
+        let kept: Vec<bool> = (0..self.columns.len()).map(|at| keeps(self, at)).collect();
+        let mut flags = kept.iter().cycle();
+        self.columns.retain(|_| flags.next() == Some(&true));
+        self.rows.iter_mut().for_each(|row| row.retain(|_| flags.next() == Some(&true)));
     }
 }
 

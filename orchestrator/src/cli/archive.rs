@@ -1,15 +1,20 @@
 //! `archive`: writes a folder for publication with everything needed to reproduce the results of a database.
 
+use std::collections::BTreeMap;
 use std::fs::File;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 use super::named::Database;
 use super::report::{file_names, write_parts};
 use super::{Error, cores, make_folder, write};
 use crate::analysis::Terms;
+use crate::analysis::numbers::in_order;
 use crate::cluster::merge::{Extent, merge};
 use crate::exit::Exit;
 use crate::look::{Format, Table};
@@ -73,7 +78,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     merge(Extent::Whole, std::slice::from_ref(db), &dir.join(DATABASE)).await?;
     write(&dir.join(PROVENANCE), made.written(Format::Json))?;
     write(&dir.join(README), readme(&story, &names, &made))?;
-    let title = story.sweeps.iter().map(|sweep| sweep.name.as_str()).collect::<Vec<_>>().join(", ");
+    let title = in_order(story.sweeps.iter().map(|sweep| sweep.name.as_str())).join(", ");
     write(&dir.join(REPORT), html(story, &drawn, missing.as_deref()))?;
     write(&dir.join(MANIFEST), manifest(dir, &title, &names, &made)?)?;
     print_line!("{}", dir.display())?;
@@ -83,19 +88,54 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 /// Writes the spec and copies of the files that it names by absolute path; the spec refers to the copies. Warns about missing
 /// files.
 fn write_spec_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
-    let mut own = text.to_owned();
+    let mut copies = BTreeMap::<String, String>::new();
     for file in files_of(text) {
         let path = Path::new(&file);
         match path.file_name().filter(|_| path.is_absolute() && path.is_file()) {
+            Some(_) if copies.contains_key(&file) => {}
             Some(last) => {
-                let copy = format!("{name}-{}", last.to_string_lossy());
+                let copy = free_name(folder, &format!("{name}-{}", last.to_string_lossy()));
                 write(&folder.join(&copy), std::fs::read(path).map_err(Error::unreadable(path))?)?;
-                own = own.replace(&format!("\"{file}\""), &format!("\"{copy}\""));
+                copies.insert(file, copy);
             }
             None => say!("warning: {name}.toml reads {file}: add this file to {}", folder.display()),
         }
     }
-    write(&folder.join(format!("{name}.toml")), own)
+    write(&folder.join(format!("{name}.toml")), refer_to(&copies, text))
+}
+
+/// The name, with a number before its ending if the folder contains a file of this name.
+fn free_name(folder: &Path, name: &str) -> String {
+    let at = name.rfind('.').unwrap_or(name.len());
+    let numbered = (2..).map(|n| format!("{}-{n}{}", &name[..at], &name[at..]));
+    let free = std::iter::once(name.to_owned()).chain(numbered).find(|name| !folder.join(name).exists());
+    free.expect("numbers do not end")
+}
+
+/// The text of a spec with the names of copies in place of those of their files.
+fn refer_to(copies: &BTreeMap<String, String>, text: &str) -> String {
+    fn strings(value: &Spanned<DeValue<'_>>, found: &mut Vec<(Range<usize>, String)>) {
+        match value.get_ref() {
+            DeValue::Table(table) => table.values().for_each(|value| strings(value, found)),
+            DeValue::Array(values) => values.iter().for_each(|value| strings(value, found)),
+            DeValue::String(text) => found.push((value.span(), text.to_string())),
+            _ => {}
+        }
+    }
+    let mut found = Vec::new();
+    if !copies.is_empty() {
+        let table = DeTable::parse(text).expect("its files were found");
+        table.get_ref().values().for_each(|value| strings(value, &mut found));
+    }
+    // from the last, so that the places of the others stay
+    found.sort_by_key(|(place, _)| std::cmp::Reverse(place.start));
+    let mut own = text.to_owned();
+    for (place, file) in found {
+        if let Some(copy) = copies.get(&file) {
+            own.replace_range(place, &toml::Value::from(copy.as_str()).to_string());
+        }
+    }
+    own
 }
 
 /// Files that a spec names.
@@ -189,4 +229,29 @@ fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<S
     let crate_ = json!({ "@context": ["https://w3id.org/ro/crate/1.1/context",
         { "sha256": "https://w3id.org/ro/terms/workflow-run#sha256" }], "@graph": Value::Array(graph) });
     Ok(serde_json::to_string_pretty(&crate_).expect("JSON") + "\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Different files of one name have a copy each, a file that is named twice has one; the quotes of a name do not matter.
+    #[test]
+    fn a_spec_refers_to_the_copies_of_its_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let [first, second] = ["1", "2"].map(|day| {
+            std::fs::create_dir(at(day)).unwrap();
+            let file = at(day).join("forces.npy");
+            std::fs::write(&file, day).unwrap();
+            file.display().to_string()
+        });
+        let head = format!("# day 1: {first}\n[stimuli.recorded]\n");
+        let text = format!("{head}files = ['{first}', \"{second}\", \"{first}\"]\n");
+        write_spec_files(folder.path(), "s", &text).unwrap();
+        let read = |name: &str| std::fs::read_to_string(at(name)).unwrap();
+        let files = r#"files = ["s-forces.npy", "s-forces-2.npy", "s-forces.npy"]"#;
+        assert_eq!(read("s.toml"), format!("{head}{files}\n"));
+        assert_eq!(["s-forces.npy", "s-forces-2.npy"].map(read), ["1", "2"]);
+    }
 }

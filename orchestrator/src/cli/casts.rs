@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use metasense_lab::casts::casts;
 use metasense_schemas::record::CastReading;
-use metasense_schemas::spec::{TrialSpec, Variation, VariationFile};
+use metasense_schemas::spec::{Variation, VariationFile};
 use metasense_source::Source;
 use metasense_worker::problem::INVERTED_PER_CAST;
 
@@ -43,7 +43,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (hash, trial, design) = args.one.read().await?;
     let variation = args.variation.as_deref().map(read_variation).transpose()?;
     let count = usize::from(args.casts);
-    let found = evaluate_casts(&args, &trial, &design, variation).map_err(|e| args.one.trial.failed(e))?;
+    let mut said = Instant::now();
+    let mut progress = |done: usize| {
+        if said.elapsed().as_secs() >= SAY_EVERY {
+            said = Instant::now();
+            say!("{done} of {count} casts");
+        }
+    };
+    let found = casts(&trial, &design, count, variation, cores(), &mut progress)
+        .map_err(|e| args.one.trial.failed(e))?;
     let failed =
         found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
     let holdout = trial.stimuli.holdout;
@@ -56,22 +64,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 fn read_variation(file: &Path) -> Result<Variation, Error> {
     let text = std::fs::read_to_string(file).map_err(Error::unreadable(file))?;
     Ok(Source::new(file, text)?.parse::<VariationFile>()?.variation)
-}
-
-fn evaluate_casts(
-    args: &Args,
-    trial: &TrialSpec,
-    design: &[f64],
-    variation: Option<Variation>,
-) -> Result<Vec<CastReading>, metasense_worker::run::Failure> {
-    let mut said = Instant::now();
-    let mut progress = |done: usize| {
-        if said.elapsed().as_secs() >= SAY_EVERY {
-            said = Instant::now();
-            say!("{done} of {} casts", args.casts);
-        }
-    };
-    casts(trial, design, args.casts.into(), variation, cores(), &mut progress)
 }
 
 /// Seconds between two lines of progress.

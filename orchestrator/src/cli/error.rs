@@ -8,7 +8,6 @@ use metasense_source::SpecError;
 use metasense_worker::design::DesignError;
 use metasense_worker::limits::Shortage;
 
-use super::control;
 use crate::cluster::AssignmentError;
 use crate::cluster::home::HomeError;
 use crate::cluster::merge::MergeError;
@@ -130,13 +129,15 @@ impl Error {
             | Self::Partly(_)
             | Self::Assignment(AssignmentError::File { .. }) => Exit::Io,
             Self::Assignment(_) => Exit::BadInput,
-            Self::Control(e) => control::exit(e),
-            Self::Usage(_)
+            Self::Control(ControlError::NoDatabase { .. } | ControlError::NoRun { .. })
+            | Self::Usage(_)
             | Self::Spec(_)
             | Self::Design(_)
             | Self::Measured(_)
             | Self::Unreadable { .. } => Exit::BadInput,
-            Self::Store(_) | Self::Io { .. } | Self::Output(_) | Self::Signals(_) => Exit::Io,
+            Self::Store(_) | Self::Io { .. } | Self::Output(_) | Self::Signals(_) | Self::Control(_) => {
+                Exit::Io
+            }
         }
     }
 

@@ -112,10 +112,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (layout, initial) =
         metasense_lab::simulate::body(&specs[0]).map_err(|e| Error::Usage(format!("trial: {e}")))?;
     designs.entry("initial".into()).or_insert(initial);
-    for (i, (name, _)) in args.records.iter().enumerate() {
-        if args.records[..i].iter().any(|(other, _)| other == name) {
-            return Err(Error::Usage(format!("--records {name}: given twice")));
+    let options = [("--records", &args.records), ("--design", &args.design), ("--twin", &args.twin)];
+    for (option, files) in options {
+        let before = |i: usize, name: &str| files[..i].iter().any(|(other, _)| other == name);
+        if let Some((_, (name, _))) = files.iter().enumerate().find(|(i, (name, _))| before(*i, name)) {
+            return Err(Error::Usage(format!("{option} {name}: given twice; pass one file per body")));
         }
+    }
+    if let Some((name, file)) = args.design.iter().find(|(name, _)| designs.contains_key(name)) {
+        return Err(Error::Usage(format!(
+            "--design {name}={}: {name} is the trial's own body; give the body another name, also in --records",
+            file.display()
+        )));
     }
     for (name, file) in &args.design {
         if !args.records.iter().any(|(other, _)| other == name) {
@@ -318,42 +326,27 @@ fn check_records(
     records: &[Records],
     designs: &BTreeMap<String, Vec<f64>>,
 ) -> Result<(), Error> {
-    let file = |body_records: &Records| {
-        let (name, file) =
-            args.records.iter().find(|(name, _)| *name == body_records.name).expect("it was read");
+    let file = |of: &Records| {
+        let (name, file) = args.records.iter().find(|(name, _)| *name == of.name).expect("it was read");
         format!("--records {name}={}", file.display())
     };
-    if let Some(body_records) = records
-        .iter()
-        .find(|body_records| brain != BrainKind::Inverse && body_records.measured.forces.samples < 2)
-    {
+    let single = |of: &&Records| brain != BrainKind::Inverse && of.measured.forces.samples < 2;
+    if let Some(of) = records.iter().find(single) {
         let why = "contains one record: pass two or more, because each is predicted by a decoder fitted to the others";
-        return Err(Error::Usage(format!("{}: {why}", file(body_records))));
+        return Err(Error::Usage(format!("{}: {why}", file(of))));
     }
-    let body = |body_records: &Records| {
-        designs.get(&body_records.name).map(|design| (spec_of_body(specs, &body_records.name), design))
-    };
-    let measured =
-        || records.iter().filter(|body_records| body_records.by == SignalSource::Measured).enumerate();
-    for (n, body_records) in measured() {
-        let samples = |body_records: &'_ Records| {
-            body_records.measured.signals.len() / body_records.measured.forces.samples
-        };
-        let own_signals: Vec<&[f64]> = body_records.measured.signals.chunks(samples(body_records)).collect();
-        let others = measured()
-            .take(n)
-            .filter(|(_, other)| body(body_records).is_none() || body(body_records) != body(other));
+    let body = |of: &Records| designs.get(&of.name).map(|design| (spec_of_body(specs, &of.name), design));
+    let samples = |of: &Records| of.measured.signals.len() / of.measured.forces.samples;
+    let measured = || records.iter().filter(|of| of.by == SignalSource::Measured).enumerate();
+    for (n, of) in measured() {
+        let own: Vec<&[f64]> = of.measured.signals.chunks(samples(of)).collect();
+        let shared = |signals: &[f64]| signals.iter().any(|x| *x != 0.0) && own.contains(&signals);
+        let others = measured().take(n).filter(|(_, other)| body(of).is_none() || body(of) != body(other));
         for (_, other) in others {
-            let shared =
-                |signals: &&[f64]| signals.iter().any(|x| *x != 0.0) && own_signals.contains(signals);
-            if let Some(record) =
-                other.measured.signals.chunks(samples(other)).position(|signals| shared(&signals))
-            {
-                let why = format!(
-                    "contains record {record} of {}: two bodies cannot have the same signals",
-                    file(other)
-                );
-                return Err(Error::Usage(format!("{}: {why}", file(body_records))));
+            if let Some(record) = other.measured.signals.chunks(samples(other)).position(shared) {
+                let [own, other] = [of, other].map(file);
+                let why = "two bodies cannot have the same signals";
+                return Err(Error::Usage(format!("{own}: contains record {record} of {other}: {why}")));
             }
         }
     }

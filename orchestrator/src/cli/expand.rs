@@ -12,6 +12,7 @@ use super::named::Spec;
 use super::point::values_at;
 use super::simd::Simd;
 use super::{Error, Format, print_rows};
+use crate::cell::{brief, plain};
 use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
 use crate::export::ligament::impossible;
@@ -47,10 +48,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let named = "hash panels sensors placement seed units panel_units sensor_units design_parameters \
         brain_parameters cost_seconds";
     let columns = std::iter::once(named).chain(axes.iter().copied()).collect::<Vec<_>>().join(" ");
-    let mut table = Table::new(&columns, plan.trials.iter().map(|trial| row(trial, &axes)));
-    if args.format == Format::Table {
-        table.rows.iter_mut().flatten().for_each(shorten);
-    }
+    let text = if args.format == Format::Table { brief } else { plain };
+    let table = Table::new(&columns, plan.trials.iter().map(|trial| row(trial, &axes, text)));
     print_rows(&table, args.format)?;
     let total = cost::total(&plan.trials);
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
@@ -133,24 +132,12 @@ fn say_bodies(trials: &[Trial]) {
     }
 }
 
-/// Maximum number of characters of a cell in a printed table.
-const WIDEST: usize = 48;
-
-fn shorten(cell: &mut Value) {
-    if let Value::String(text) = cell
-        && let Some((end, _)) = text.char_indices().nth(WIDEST)
-    {
-        text.truncate(end);
-        text.push('…');
-    }
-}
-
 /// Rounds an estimated cost to two significant digits.
 fn rounded(cost: f64) -> f64 {
     format!("{cost:.1e}").parse().expect("a number")
 }
 
-fn row(trial: &Trial, axes: &BTreeSet<&str>) -> Vec<Value> {
+fn row(trial: &Trial, axes: &BTreeSet<&str>, text: fn(&Value) -> String) -> Vec<Value> {
     let Trial { hash, spec, units, design_parameters, brain_parameters, .. } = trial;
     let point = spec.point;
     let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
@@ -169,7 +156,7 @@ fn row(trial: &Trial, axes: &BTreeSet<&str>) -> Vec<Value> {
     ];
     if !axes.is_empty() {
         let spec = serde_json::to_value(spec).expect("a trial is JSON");
-        row.extend(values_at(&spec, axes));
+        row.extend(values_at(&spec, axes, text));
     }
     row
 }

@@ -266,11 +266,7 @@ impl Named {
             let sql = format!("SELECT spec FROM trial WHERE hash = {}", quoted(&hash));
             let text = reader.query::<Table>(&sql).await?.rows.swap_remove(0).swap_remove(0);
             let spec = serde_json::from_str(text.as_str().unwrap_or_default());
-            let spec = spec.map_err(|e| StoreError::Unreadable {
-                hash: hash.clone(),
-                what: "spec",
-                message: e.to_string(),
-            })?;
+            let spec = spec.map_err(|e| StoreError::unreadable(&hash, "spec", e))?;
             Ok((hash, spec))
         })
         .await

@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use crate::cell::plain;
+use crate::cell::{brief, plain};
 
-/// Values of a trial's spec at the given keys; lists and tables as text, missing keys as null.
-pub fn values_at(spec: &Value, keys: &BTreeSet<&str>) -> Vec<Value> {
+/// Values of a trial's spec at the given keys: lists and tables as `text` writes them, missing keys as null.
+pub fn values_at(spec: &Value, keys: &BTreeSet<&str>, text: fn(&Value) -> String) -> Vec<Value> {
     let value = |key: &&str| match spec.pointer(&format!("/{}", key.replace('.', "/"))) {
         None => Value::Null,
-        Some(value @ (Value::Array(_) | Value::Object(_))) => value.to_string().into(),
+        Some(value @ (Value::Array(_) | Value::Object(_))) => text(value).into(),
         Some(scalar) => scalar.clone(),
     };
     keys.iter().map(value).collect()
@@ -21,7 +21,7 @@ pub fn point_in_words(spec: &Value, keys: &BTreeSet<&str>) -> String {
     let point = |name: &str| plain(&spec["point"][name]);
     let [k, m, placement, seed] = ["panels", "sensors", "placement", "seed"].map(point);
     let mut words = format!("K={k} M={m} placement {placement} seed {seed}");
-    for (key, value) in keys.iter().zip(values_at(spec, keys)).filter(|(_, value)| !value.is_null()) {
+    for (key, value) in keys.iter().zip(values_at(spec, keys, brief)).filter(|(_, value)| !value.is_null()) {
         words += &format!(" {key}={}", plain(&value));
     }
     words

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use metasense_schemas::database::VIEWS;
 
 use super::named::Database;
-use super::{Error, Format, print_rows};
+use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
 use crate::files::Output;
 use crate::look::{RowWriter, Table, lines, screen, standard_output};
@@ -37,7 +37,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { db, sql, format, out } = args;
     Reader::with_reader(Database::at(&db).await?, async |reader| {
         let Some(sql) = &sql else {
-            return Ok(print_rows(&views(reader, format).await?, format)?);
+            let views = views(reader, format).await?;
+            return match &out {
+                None => Ok(print_rows(&views, format)?),
+                Some(path) => write(path, views.written(format)),
+            };
         };
         match &out {
             None => {

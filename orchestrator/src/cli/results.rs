@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use super::point::values_at;
 use super::{Error, Format, print_rows};
 use crate::analysis::kinds::brains_of;
+use crate::cell::brief;
 use crate::look::Table;
 use crate::plan::{Plan, counted};
 use crate::provenance;
@@ -98,7 +99,7 @@ fn add_axes(table: &mut Table, plan: &Plan) {
     for row in &mut table.rows {
         let spec = row[hash].as_str().and_then(|hash| specs.get(hash));
         let spec = spec.map_or(Value::Null, |spec| json!(spec));
-        row.splice(behind + 1..behind + 1, values_at(&spec, &axes));
+        row.splice(behind + 1..behind + 1, values_at(&spec, &axes, brief));
     }
     table.columns.splice(behind + 1..behind + 1, axes.into_iter().map(str::to_owned));
 }

@@ -241,7 +241,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     }
     let never: Vec<String> = ended.iter().flat_map(|s| s.never.iter().cloned()).collect();
     super::merge::print_never_started(&never, "metasense cluster submit");
-    let failed: usize = states.iter().map(State::failed).sum();
+    let failed: usize = states.iter().map(|s| s.failures.len()).sum();
     if failed > 0 {
         say!(
             "{} failed: `metasense cluster submit` with --retry-failed resumes them",

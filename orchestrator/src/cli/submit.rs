@@ -186,7 +186,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Ok(Exit::Done);
     }
     let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
-    write_assignment(&assignment, &submission.folder, &plan.trials)?;
+    assignment.write(&submission.folder)?;
+    assignment.write_trials(&submission.folder, &plan.trials)?;
     if let Some(commands) = commands {
         queued::submit(&mut submission, commands, &mut notes, jobs, &queue)?;
         return Ok(Exit::Done);
@@ -437,12 +438,6 @@ fn prepare(
         write(&folder.join(script.name), script.text)?;
     }
     Ok(notes)
-}
-
-/// Writes the assignment of trials to shards.
-fn write_assignment(assignment: &Assignment, folder: &Path, trials: &[Trial]) -> Result<(), Error> {
-    assignment.write(folder)?;
-    Ok(assignment.write_trials(folder, trials)?)
 }
 
 /// Notes that this process runs the shards.

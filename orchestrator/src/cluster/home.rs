@@ -158,20 +158,17 @@ impl Home {
         if earlier.is_empty() && !self.live.exists() {
             return Ok(None);
         }
-        let (merged, aside) = match merge::merge(Extent::Whole, &earlier, &self.live).await {
-            Err(MergeError::Result { source, .. }) if self.is_damage(&source) => {
-                let aside = self.set_aside()?;
-                (
-                    if earlier.is_empty() {
-                        return Ok(Some(aside));
-                    } else {
-                        merge::merge(Extent::Whole, &earlier, &self.live).await
-                    },
-                    Some(aside),
-                )
+        let mut merged = merge::merge(Extent::Whole, &earlier, &self.live).await;
+        let mut aside = None;
+        if let Err(MergeError::Result { source, .. }) = &merged
+            && self.is_damage(source)
+        {
+            aside = Some(self.set_aside()?);
+            if earlier.is_empty() {
+                return Ok(aside);
             }
-            merged => (merged, None),
-        };
+            merged = merge::merge(Extent::Whole, &earlier, &self.live).await;
+        }
         let summary = match merged {
             Err(MergeError::Nothing { refused }) => merge::Summary { refused, ..Default::default() },
             other => other?,
@@ -203,15 +200,8 @@ impl Home {
         Ok(aside)
     }
 
-    /// Copies the database, in use or not, to the results folder.
-    ///
-    /// # Errors
-    /// If copying fails; the previous copy remains.
-    pub async fn copy_to_folder(&self) -> Result<(), HomeError> {
-        self.hand_in_while(|| true).await
-    }
-
-    /// As `copy_to_folder`, but stops when `goes_on` returns false.
+    /// Copies the database, in use or not, to the results folder; stops when `goes_on` returns false. If copying fails, the
+    /// previous copy remains.
     async fn hand_in_while(&self, goes_on: impl FnMut() -> bool + Send + 'static) -> Result<(), HomeError> {
         let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
@@ -230,7 +220,7 @@ impl Home {
     pub async fn hand_in_within(&self, notice: Duration) -> Result<(), HomeError> {
         let end = tokio::time::Instant::now() + notice;
         loop {
-            match self.copy_to_folder().await {
+            match self.hand_in_while(|| true).await {
                 Ok(()) => return Ok(()),
                 Err(error) if tokio::time::Instant::now() < end => {
                     tracing::warn!(%error, "the database could not be copied to the folder; retrying");

@@ -123,9 +123,10 @@ pub async fn run(
             Some(Some(Err(bug))) => std::panic::resume_unwind(bug.into_panic()),
             Some(Some(Ok((place, shard, code, last_words)))) => {
                 let verdict = Verdict::of(code, place.is_some());
-                let last_words = if verdict.is_told() { last_words } else { String::new() };
+                let dead = matches!(verdict, Verdict::Unfit | Verdict::Died);
+                let last_words = if dead || verdict == Verdict::Refused { last_words } else { String::new() };
                 say(format!("shard {shard} on {}: {}{last_words}", name(&place), verdict.words()));
-                let again = !ended.asked && verdict.is_begun_again() && tries[&shard] < MOST_TRIES;
+                let again = !ended.asked && dead && tries[&shard] < MOST_TRIES;
                 match verdict {
                     Verdict::Done => {}
                     Verdict::Failed => ended.failed = true,
@@ -168,15 +169,6 @@ impl Verdict {
             Some(code) if code == Exit::Unfit as i32 || is_remote && code == UNREACHABLE => Self::Unfit,
             _ => Self::Died,
         }
-    }
-
-    fn is_begun_again(self) -> bool {
-        matches!(self, Self::Unfit | Self::Died)
-    }
-
-    /// Whether to print the shard's last message.
-    fn is_told(self) -> bool {
-        matches!(self, Self::Refused | Self::Unfit | Self::Died)
     }
 
     fn words(self) -> &'static str {
@@ -266,16 +258,12 @@ fn begin(place: &HostSlot, shard: u32, how: &LaunchConfig) -> io::Result<Child> 
             command
         }
     };
-    let log = log(&how.folder, place)?;
+    let log = OpenOptions::new().create(true).append(true).open(log_file(&how.folder, place))?;
     // Its own process group: Ctrl-C reaches only this process, which passes it on once.
     command.process_group(0).stdout(log.try_clone()?).stderr(log).spawn()
 }
 
 /// Log of `ssh`, and of scripts that fail before they write to the shard's output.
-fn log(folder: &Path, place: &HostSlot) -> io::Result<std::fs::File> {
-    OpenOptions::new().create(true).append(true).open(log_file(folder, place))
-}
-
 fn log_file(folder: &Path, place: &HostSlot) -> PathBuf {
     folder.join(format!("{}.out", files::mark_of(&name(place))))
 }

@@ -54,34 +54,20 @@ impl State {
     pub fn is_settled(&self) -> bool {
         ["complete", "failed"].contains(&self.state.as_str())
     }
-
-    /// Number of failed trials.
-    pub fn failed(&self) -> usize {
-        self.failures.len()
-    }
 }
 
 /// Progress of a trial. The greatest value among copies counts: a finished one; else that with most attempts; among equals the
 /// open one, because it may have been reopened after a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
-    /// Number of attempts so far.
-    Open(u32, AttemptEnd),
+    /// Number of attempts so far, and whether the trial is open: the last attempt has not failed.
+    Unfinished(u32, bool),
     /// Done or cancelled.
     Done,
 }
 
-/// State of the last attempt of an unfinished trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum AttemptEnd {
-    /// Failed.
-    Failed,
-    /// Not ended, or no attempt.
-    Open,
-}
-
 impl Stage {
-    const NEVER: Self = Self::Open(0, AttemptEnd::Open);
+    const NEVER: Self = Self::Unfinished(0, true);
 }
 
 /// The shards of a folder. `queued`: states in the queue, by shard.
@@ -124,17 +110,6 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
             Err(error) => unreadable = Some(format!("unreadable: {error}")),
         }
     }
-    let count = |of: fn(&Stage) -> bool| trials.values().filter(|stage| of(stage)).count();
-    let failed: fn(&Stage) -> bool = |stage| matches!(stage, Stage::Open(_, AttemptEnd::Failed));
-    let counts = [trials.len(), count(|stage| *stage == Stage::Done), count(failed)];
-    let [all, done, gone_wrong] = counts;
-    let state = match unreadable {
-        _ if readable && done == all => "complete".into(),
-        _ if readable && done + gone_wrong == all => "failed".into(),
-        _ if readable => "partial".into(),
-        Some(error) => error,
-        None => "nothing".into(),
-    };
     let of = |is_one: fn(&Stage) -> bool| {
         let mut hashes: Vec<String> =
             trials.iter().filter(|(_, stage)| is_one(stage)).map(|(hash, _)| hash.clone()).collect();
@@ -142,8 +117,18 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
         hashes
     };
     let never = of(|stage| *stage == Stage::NEVER);
-    let open = of(|stage| matches!(stage, Stage::Open(_, AttemptEnd::Open)));
-    State { shard, state, trials: readable.then_some(counts), never, open, failures: of(failed), run, age }
+    let open = of(|stage| matches!(stage, Stage::Unfinished(_, true)));
+    let failures = of(|stage| matches!(stage, Stage::Unfinished(_, false)));
+    let (all, failed) = (trials.len(), failures.len());
+    let done = all - open.len() - failed;
+    let state = match unreadable {
+        _ if readable && done == all => "complete".into(),
+        _ if readable && open.is_empty() => "failed".into(),
+        _ if readable => "partial".into(),
+        Some(error) => error,
+        None => "nothing".into(),
+    };
+    State { shard, state, trials: readable.then_some([all, done, failed]), never, open, failures, run, age }
 }
 
 async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> {
@@ -159,8 +144,8 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
             let stage = match (state.as_str(), reason.as_str()) {
                 ("done", _) => Stage::Done,
                 ("failed", CANCELLED) => Stage::Done,
-                ("failed", _) => Stage::Open(attempts.max(1), AttemptEnd::Failed),
-                _ => Stage::Open(attempts, AttemptEnd::Open),
+                ("failed", _) => Stage::Unfinished(attempts.max(1), false),
+                _ => Stage::Unfinished(attempts, true),
             };
             (hash, stage)
         };
@@ -209,16 +194,16 @@ fn folder_of(file: &Path) -> &Path {
 
 #[cfg(test)]
 mod tests {
-    use super::{AttemptEnd, Stage};
+    use super::Stage;
 
     /// A trial that was reopened after a failure counts as open until its next attempt ends; a finished trial stays finished.
     #[test]
     fn the_copy_that_came_later_counts() {
-        let failed = Stage::Open(1, AttemptEnd::Failed);
+        let failed = Stage::Unfinished(1, false);
         let later = [
-            Stage::Open(1, AttemptEnd::Open),
-            Stage::Open(2, AttemptEnd::Failed),
-            Stage::Open(2, AttemptEnd::Open),
+            Stage::Unfinished(1, true),
+            Stage::Unfinished(2, false),
+            Stage::Unfinished(2, true),
             Stage::Done,
         ];
         assert!(Stage::NEVER < failed && failed < later[0] && later.is_sorted());

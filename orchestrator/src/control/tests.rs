@@ -13,9 +13,9 @@ fn a_line_is_the_command_that_it_was_made_of() {
         Command::Pause,
         Command::Resume,
         Command::Stop,
-        Command::Cancel(hash()),
-        Command::Next(hash()),
-        Command::Workers(7),
+        Command::Cancel { hash: hash() },
+        Command::Next { hash: hash() },
+        Command::Workers { count: 7 },
         Command::Reload,
     ] {
         assert_eq!(command.to_string().parse(), Ok(command));
@@ -79,10 +79,10 @@ async fn a_run_is_asked_by_its_database() {
     let said = Reply { done: true, text: "goes to\nthe next".into() };
     let answering = async {
         let Request { command, answer } = request(&listener).await;
-        assert_eq!(command, Command::Next("ab".into()));
+        assert_eq!(command, Command::Next { hash: "ab".into() });
         answer.send(said.clone()).unwrap();
     };
-    let command = Command::Next("ab".into());
+    let command = Command::Next { hash: "ab".into() };
     let (heard, ()) = tokio::join!(ask(&db, &command), answering);
     assert_eq!(heard.unwrap(), said);
     let ending = async { drop((request(&listener).await, listener)) };

@@ -419,10 +419,7 @@ impl Engine<'_> {
         match word {
             LinkEvent::Open => self.start(worker, events),
             LinkEvent::Message(message, arrays) => events.extend(self.message(worker, *message, arrays)),
-            LinkEvent::Beat(progress) => {
-                let lease = Lease { trial: progress.trial, attempt: progress.attempt };
-                events.push_back(Event::Beat(worker, lease));
-            }
+            LinkEvent::Beat(lease) => events.push_back(Event::Beat(worker, lease)),
             LinkEvent::Broken(error) => self.broken(worker, &error),
             LinkEvent::Closed => {
                 if let Some(link) = self.workers.links.get_mut(&worker) {

@@ -32,10 +32,10 @@ impl Engine<'_> {
             Command::Pause => Steer::Pause,
             Command::Resume => Steer::Resume,
             Command::Stop => Steer::Stop,
-            Command::Workers(count) => Steer::Workers(*count),
-            Command::Cancel(hash) | Command::Next(hash) => {
+            Command::Workers { count } => Steer::Workers(*count),
+            Command::Cancel { hash } | Command::Next { hash } => {
                 match position_of(hash, self.agenda.trials.iter().map(|trial| trial.hash.as_str())) {
-                    Ok(at) if matches!(request.command, Command::Next(_)) => Steer::Next(at as u32),
+                    Ok(at) if matches!(request.command, Command::Next { .. }) => Steer::Next(at as u32),
                     Ok(at) => Steer::Cancel(at as u32),
                     Err(why) => return self.answer(request, false, why.to_string()),
                 }

@@ -17,7 +17,6 @@ pub use outline::{Mould, Outline};
 
 use clap::ValueEnum;
 use metasense_lab::replay::{Replay, ReplayDecoder, fit_decoder, replay, replay_for_casts};
-use metasense_schemas::spec::TrialSpec;
 use metasense_worker::run::Failure;
 
 use crate::reader::StoredTrial;
@@ -52,13 +51,15 @@ pub fn replays(stored: &StoredTrial, threads: usize) -> Result<[Replay; 2], Stor
     Ok([replay_of(stored, 0, threads)?, replay_of(stored, 1, threads)?])
 }
 
-/// Simulates one body again.
+/// Simulates one body again, with the tolerance of exports.
 ///
 /// # Errors
 /// If it cannot be simulated again.
 pub fn replay_of(stored: &StoredTrial, body: usize, threads: usize) -> Result<Replay, StoreError> {
     let (design, weights) = (&stored.designs[body], &stored.weights[body]);
-    replay(&exact(stored, body), design, weights, usize::MAX, threads).map_err(unreadable(stored))
+    let mut spec = stored.specs[body].clone();
+    spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
+    replay(&spec, design, weights, usize::MAX, threads).map_err(unreadable(stored))
 }
 
 /// Data to which a decoder is fitted.
@@ -94,15 +95,8 @@ pub fn brain_of(
     }
 }
 
-/// A trial's spec with the tolerance of exports.
-fn exact(stored: &StoredTrial, body: usize) -> TrialSpec {
-    let mut spec = stored.specs[body].clone();
-    spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
-    spec
-}
-
 /// The error for a stored trial that cannot be computed again.
 pub(crate) fn unreadable(stored: &StoredTrial) -> impl Fn(Failure) -> StoreError {
     let hash = stored.hash.clone();
-    move |e| StoreError::Unreadable { hash: hash.clone(), what: "trial", message: e.to_string() }
+    move |e| StoreError::unreadable(&hash, "trial", e)
 }

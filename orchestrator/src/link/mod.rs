@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use metasense_schemas::wire::{
-    self, BackpressureStrategy, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress,
-    Sample, Services, Sleeper, ToOrchestrator, ToWorker, Waker,
+    self, BackpressureStrategy, BeatReceiver, End, Lease, LinkError, MessageReceiver, MessageSender, Sample,
+    Services, Sleeper, ToOrchestrator, ToWorker, Waker,
 };
 use metasense_worker::process::check_shared_memory;
 use tokio::sync::mpsc::Sender;
@@ -31,7 +31,7 @@ pub enum LinkEvent {
     /// A message with all arrays that belong to it.
     Message(Box<ToOrchestrator>, Option<Sample>),
     /// A sign of life.
-    Beat(Progress),
+    Beat(Lease),
     /// The link failed.
     Broken(LinkError),
     /// After `Channel::close`: everything sent has been read, and the domain is removed.

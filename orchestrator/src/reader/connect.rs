@@ -62,7 +62,8 @@ async fn open(path: &Path, rows: Option<usize>) -> Result<Connected, StoreError>
         }
     }
     if has_journal(path) {
-        let scratch = scratch(path)?;
+        let failed = |source| StoreError::NotCopied(path.to_owned(), source);
+        let scratch = leftovers::scratch("metasense-read-").map_err(failed)?;
         let copy = scratch.path().join(COPY);
         copy_with_journal(path, &copy)?;
         let connection = reading(&copy, rows).connect().await.map_err(at)?;
@@ -75,11 +76,6 @@ async fn open(path: &Path, rows: Option<usize>) -> Result<Connected, StoreError>
 
 /// File name of a copy in its temporary folder.
 const COPY: &str = "copy.sqlite";
-
-fn scratch(path: &Path) -> Result<TempDir, StoreError> {
-    let failed = |source| StoreError::NotCopied(path.to_owned(), source);
-    leftovers::scratch("metasense-read-").map_err(failed)
-}
 
 /// The current state of a file.
 pub(super) fn state(path: &Path) -> Result<String, StoreError> {

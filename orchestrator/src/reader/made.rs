@@ -102,12 +102,8 @@ impl Reader {
         let wanted_keys = keys(spec);
         let mut nearest: Option<Nearest> = None;
         self.each("SELECT hash, state, spec FROM trial ORDER BY hash", |row| {
-            let unreadable = |e: serde_json::Error| StoreError::Unreadable {
-                hash: row.text("hash").to_owned(),
-                what: "spec",
-                message: e.to_string(),
-            };
-            let there = keys(&serde_json::from_str(row.text("spec")).map_err(unreadable)?);
+            let stored = serde_json::from_str(row.text("spec"));
+            let there = keys(&stored.map_err(|e| StoreError::unreadable(row.text("hash"), "spec", e))?);
             let paths =
                 wanted_keys.keys().chain(there.keys().filter(|path| !wanted_keys.contains_key(*path)));
             let differs = paths.filter(|path| wanted_keys.get(*path) != there.get(*path));

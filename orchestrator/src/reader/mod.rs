@@ -64,7 +64,7 @@ impl Row<'_> {
 
     /// All values; blobs are replaced by the text `blob of N bytes`.
     pub fn values(&self) -> Vec<Value> {
-        values(self.0)
+        (0..self.0.len()).map(|i| value(self.0, i)).collect()
     }
 }
 
@@ -106,11 +106,8 @@ impl Artifact {
     /// # Errors
     /// If it is damaged or not an array of this type.
     pub fn values<T: npyz::Deserialize>(&self) -> Result<Vec<T>, StoreError> {
-        npy_values(self.npy()?).map_err(|e| StoreError::Unreadable {
-            hash: self.hash.clone(),
-            what: "array",
-            message: format!("{}: {e}", self.name),
-        })
+        npy_values(self.npy()?)
+            .map_err(|e| StoreError::unreadable(&self.hash, "array", format!("{}: {e}", self.name)))
     }
 }
 
@@ -200,19 +197,15 @@ impl Reader {
         if sql.chars().all(|c| c.is_whitespace() || c == ';') {
             return Err(StoreError::Query("the statement is empty".into()));
         }
-        if let Some(message) = self.refusal(sql).await? {
+        let (path, connection) = (&self.path, &mut self.connected.connection);
+        let refused = allow::refusal(connection, sql).await;
+        if let Some(message) = refused.map_err(|source| StoreError::sql(path, "querying", source))? {
             return Err(StoreError::Query(message));
         }
-        let path = &self.path;
         // The user's own statement, on a connection that cannot write.
-        let statement = self.connected.connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;
+        let statement = connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;
         let statement = statement.map_err(|source| wrong(path, source))?;
         Ok(statement.columns().iter().map(|c| c.name().to_owned()).collect())
-    }
-
-    async fn refusal(&mut self, sql: &str) -> Result<Option<String>, StoreError> {
-        let refused = allow::refusal(&mut self.connected.connection, sql).await;
-        refused.map_err(|source| StoreError::sql(&self.path, "querying", source))
     }
 
     /// The declared SQL types of a result's columns: those of table columns, view columns and CASTs. Empty for other expressions.
@@ -263,7 +256,7 @@ impl Reader {
         let asked = sqlx::query_as(sql).fetch_optional(&mut self.connected.connection).await;
         let (hash, spec): (String, bool) = asked.ok()??;
         let what = if spec { "result" } else { "spec" };
-        Some(StoreError::Unreadable { hash, what, message: "it is not JSON".into() })
+        Some(StoreError::unreadable(&hash, what, "it is not JSON"))
     }
 
     /// Path of the database.
@@ -374,10 +367,6 @@ fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
         }
         _ => StoreError::sql(path, "querying", source),
     }
-}
-
-fn values(row: &SqliteRow) -> Vec<Value> {
-    (0..row.len()).map(|i| value(row, i)).collect()
 }
 
 fn value(row: &SqliteRow, i: usize) -> Value {

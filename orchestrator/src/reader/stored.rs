@@ -57,13 +57,10 @@ impl Reader {
         if state != "done" {
             return Ok(None);
         }
-        let unreadable = |what| {
-            let hash = hash.clone();
-            move |e: serde_json::Error| StoreError::Unreadable { hash, what, message: e.to_string() }
-        };
-        let spec: TrialSpec = serde_json::from_str(&spec).map_err(unreadable("spec"))?;
+        let unreadable = |what, e: serde_json::Error| StoreError::unreadable(&hash, what, e);
+        let spec: TrialSpec = serde_json::from_str(&spec).map_err(|e| unreadable("spec", e))?;
         let heard = |units: &str| -> Result<TrialSpec, StoreError> {
-            let sensor_units = serde_json::from_str(units).map_err(unreadable("sensor_units"))?;
+            let sensor_units = serde_json::from_str(units).map_err(|e| unreadable("sensor_units", e))?;
             Ok(TrialSpec { sensor_units, ..spec.clone() })
         };
         let specs = [heard(&units)?, heard(&units_optimised)?];

@@ -69,11 +69,8 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
              ORDER BY panels, design_parameters, sensors, placement, seed, hash",
             |row| {
                 let hash = row.text("hash").to_owned();
-                let spec: Value = serde_json::from_str(row.text("spec")).map_err(|e| StoreError::Unreadable {
-                    hash: hash.clone(),
-                    what: "spec",
-                    message: e.to_string(),
-                })?;
+                let spec: Value = serde_json::from_str(row.text("spec"))
+                    .map_err(|e| StoreError::unreadable(&hash, "spec", e))?;
                 places.insert(row.count("id"), trials.len());
                 trials.push(Trial {
                     setting: settings.of(&spec),
@@ -237,10 +234,8 @@ impl Loader<'_> {
                 row.bytes("bytes"),
                 row.bytes("digest"),
             )?;
-            let losses = npy_values::<f32>(row.bytes("bytes")).map_err(|e| StoreError::Unreadable {
-                hash: trial.hash.clone(),
-                what: "array",
-                message: format!("{}: {e}", row.text("name")),
+            let losses = npy_values::<f32>(row.bytes("bytes")).map_err(|e| {
+                StoreError::unreadable(&trial.hash, "array", format!("{}: {e}", row.text("name")))
             })?;
             let curve: Vec<CurvePoint> =
                 losses.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
@@ -376,11 +371,8 @@ impl Loader<'_> {
         let sql = "SELECT id AS trial_id, result->'$.tasks' AS tasks FROM trial
              WHERE state = 'done' AND json_array_length(result, '$.tasks') > 0";
         self.each(sql, |trial, row| {
-            trial.tasks = serde_json::from_str(row.text("tasks")).map_err(|e| StoreError::Unreadable {
-                hash: trial.hash.clone(),
-                what: "result",
-                message: e.to_string(),
-            })?;
+            trial.tasks = serde_json::from_str(row.text("tasks"))
+                .map_err(|e| StoreError::unreadable(&trial.hash, "result", e))?;
             Ok(())
         })
         .await

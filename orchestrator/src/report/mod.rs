@@ -20,7 +20,7 @@ mod words;
 
 use maud::{Markup, PreEscaped, html};
 
-use crate::analysis::numbers::distinct;
+use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
@@ -124,8 +124,7 @@ pub const K_AND_M: &str = "K is the number of forces, one per input panel; M is 
 
 /// The whole page.
 pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> String {
-    let mut names: Vec<&str> = story.sweeps.iter().map(|s| s.name.as_str()).collect();
-    names.dedup();
+    let names = in_order(story.sweeps.iter().map(|s| s.name.as_str()));
     let title = format!("metasense: {}", if names.is_empty() { "report".into() } else { names.join(", ") });
     let states = &story.states;
     let mut said = search::answers(&story.searches);
@@ -203,5 +202,33 @@ fn provenance(story: &ReportData) -> Markup {
             p { "Sweep " b { (sweep.name) } ", started " (sweep.created_at) " by metasense " (sweep.version) ":" }
             pre { (sweep.text) }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sweep that was edited and run again is named once, where it was first.
+    #[test]
+    fn the_title_names_each_sweep_once() {
+        let sweep = |name: &str| Sweep {
+            name: name.into(),
+            text: String::new(),
+            version: String::new(),
+            created_at: String::new(),
+            searched: false,
+        };
+        let story = ReportData {
+            sweeps: ["b", "a", "b"].map(sweep).into(),
+            states: States::default(),
+            trials: vec![],
+            code_versions: vec![],
+            caveats: vec![],
+            stored: None,
+            terms: Terms::default(),
+            searches: vec![],
+        };
+        assert!(html(story, &[], None).contains("<title>metasense: b, a</title>"));
     }
 }

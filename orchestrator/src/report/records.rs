@@ -123,6 +123,24 @@ impl Comparison {
     /// Sentences about the comparison.
     pub fn answers(&self) -> Vec<Answer> {
         let mut said = Vec::new();
+        for body in self.bodies.iter().skip(1) {
+            let ratio = |by| mean_ratio(self.of(&self.bodies[0], by)?, self.of(body, by)?, self.paired);
+            let Some(found) = ratio(body.by) else { continue };
+            let verdict = found.interval.and_then(Interval::is_above_one);
+            let interval = found.interval.map_or(String::new(), |i| {
+                format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
+            });
+            let promised = ratio(SignalSource::Simulated)
+                .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
+            let text = format!(
+                "On {} the error of the {} body is {} times that of the {} body{interval}{promised}.",
+                if body.by == SignalSource::Holdout { "the held-out set" } else { "unseen records" },
+                self.bodies[0].name,
+                number(found.ratio),
+                body.name
+            );
+            said.push(Answer::new("", verdict, text));
+        }
         for (body, judged) in self.bodies.iter().zip(&self.judged) {
             let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
             let held = |said: InverseResults| {
@@ -157,24 +175,6 @@ impl Comparison {
                 };
             }
             said.push(Answer::new("", None, text + "."));
-        }
-        for body in self.bodies.iter().skip(1) {
-            let ratio = |by| mean_ratio(self.of(&self.bodies[0], by)?, self.of(body, by)?, self.paired);
-            let Some(found) = ratio(body.by) else { continue };
-            let verdict = found.interval.and_then(Interval::is_above_one);
-            let interval = found.interval.map_or(String::new(), |i| {
-                format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
-            });
-            let promised = ratio(SignalSource::Simulated)
-                .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
-            let text = format!(
-                "On {} the error of the {} body is {} times that of the {} body{interval}{promised}.",
-                if body.by == SignalSource::Holdout { "the held-out set" } else { "unseen records" },
-                self.bodies[0].name,
-                number(found.ratio),
-                body.name
-            );
-            said.insert(0, Answer::new("", verdict, text));
         }
         said
     }

@@ -61,8 +61,10 @@ impl Replayed {
         let sample = sample.filter(|sample| self.test.contains(sample));
         let mut figures = Vec::new();
         if replays.iter().all(|replay| !replay.predictions.is_empty()) {
+            // predictions per sample: T · K
+            let size = stored.spec().time.samples * stored.spec().panel_units.len();
             let typical = || representative(&replays[1].errors, self.test.iter().copied());
-            let read = |sample: &usize| !replays[1].predictions[sample * self.size()].is_nan();
+            let read = |sample: &usize| !replays[1].predictions[sample * size].is_nan();
             let chosen = sample.filter(read).map_or_else(typical, |sample| vec![sample]);
             figures.extend([self.forces(&chosen), self.every_sample()]);
         }
@@ -83,12 +85,6 @@ impl Replayed {
         format!(
             "trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed}; trained with {with}, decoder {by})"
         )
-    }
-
-    /// Number of predictions per sample: T · K.
-    fn size(&self) -> usize {
-        let spec = self.stored.spec();
-        spec.time.samples * spec.panel_units.len()
     }
 
     /// The test sample with the greatest impulse.

@@ -4,12 +4,12 @@ use std::collections::HashMap;
 
 use metasense_lab::{cost, tasks};
 use metasense_schemas::spec::{Goal, GoalReader, GoalReaderName, TrialSpec};
-use metasense_source::SpecError;
 use metasense_worker::FAILED;
 
 use super::Sweep;
 use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, confirming, most_fresh};
 use crate::analysis::setting::flatten;
+use crate::cell::brief;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::{Plan, Trial, counted};
 use crate::reader::{Reader, TrialProgress};
@@ -67,8 +67,9 @@ impl SearchState {
     pub(super) async fn all(reader: &mut Reader, sweeps: &[Sweep]) -> Vec<Result<Self, String>> {
         let mut found = Vec::new();
         for sweep in sweeps.iter().filter(|sweep| sweep.searched) {
-            let followed = match planned(sweep) {
-                Ok((plan, space)) => Self::of(reader, plan, space).await.map_err(|e| e.to_string()),
+            let plan = Plan::new(format!("{}.toml", sweep.name), sweep.text.clone());
+            let followed = match plan.and_then(|plan| Ok((Space::new(&plan)?, plan))) {
+                Ok((space, plan)) => Self::of(reader, plan, space).await.map_err(|e| e.to_string()),
                 Err(e) => Err(e.to_string()),
             };
             found.push(
@@ -248,18 +249,11 @@ impl SearchState {
     }
 }
 
-/// Plan and search space of a sweep with a requirement.
-fn planned(sweep: &Sweep) -> Result<(Plan, Space), SpecError> {
-    let plan = Plan::new(format!("{}.toml", sweep.name), sweep.text.clone())?;
-    let space = Space::new(&plan)?;
-    Ok((plan, space))
-}
-
 /// The keys in which a trial differs from others of the space, with values.
 fn setting(space: &Space, spec: &TrialSpec) -> String {
     let leaves = flatten(&serde_json::to_value(spec).expect("a trial is JSON"));
     let told = space.axes.iter().filter(|path| *path != "point.sensors");
-    let told = told.filter_map(|path| Some(format!("{path} = {}", leaves.get(path.as_str())?)));
+    let told = told.filter_map(|path| Some(format!("{path} = {}", brief(leaves.get(path.as_str())?))));
     told.collect::<Vec<_>>().join(", ")
 }
 

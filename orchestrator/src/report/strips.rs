@@ -52,8 +52,8 @@ impl Strip {
 }
 
 /// One plot per sample. Histories are stacked, the first at the top, at the returned distance, which fits the true values. One tick
-/// marks each zero, one a value in `unit` above it. The truth is a thin line on top. If the other sources are `estimates` of the truth,
-/// residuals and a second plot are added, as [`RESIDUAL`] explains.
+/// marks each zero, one a value in `unit` with the sign of the largest true one. The truth is a thin line on top. If the other sources
+/// are `estimates` of the truth, residuals and a second plot are added, as [`RESIDUAL`] explains.
 pub fn strips(
     samples: &[Strip],
     names: &[String],
@@ -97,7 +97,9 @@ pub fn strips(
     let range =
         [ends(f64::min, if estimates { -0.5 } else { -0.1 } * step), ends(f64::max, count as f64 * step)];
     let height = 80.0 + (200.0 / count as f64).max(45.0) * count as f64;
-    let value = round_below(0.9 * most);
+    let largest = if -least > most { least } else { most };
+    let mark = |most: f64| round_below(most).copysign(largest);
+    let value = mark(0.9 * largest.abs());
     let draw = |sample: &Strip, title: &str, window: [f64; 2]| {
         let seen = |time: f64| (window[0]..=window[1]).contains(&time);
         let tick = |(k, name): (usize, &String)| {
@@ -105,7 +107,7 @@ pub fn strips(
         };
         let mut ticks: Vec<(f64, String)> = names.iter().enumerate().flat_map(tick).collect();
         if estimates {
-            let value = round_below(worst);
+            let value = mark(worst);
             ticks.extend([(0.0, "residual".into()), (part * value, format!("{}{unit}", number(value)))]);
         }
         let mut plot = Plot::new(
@@ -210,7 +212,7 @@ mod tests {
     use super::*;
 
     /// A blow from 0.4 to 0.5 s has a second plot of its time; a force over the whole record has none, and histories that estimate
-    /// nothing have no residual.
+    /// nothing have no residual. The tick of forces that are never positive is negative.
     #[test]
     fn estimates_have_residuals_and_a_plot_of_the_blows() {
         let curve = |force: &dyn Fn(f64) -> f64| -> Vec<Curve> {
@@ -230,5 +232,7 @@ mod tests {
         assert_eq!(drawn(&|_| 1.0, true).len(), 1);
         let plain = drawn(&blow, false);
         assert!(plain.len() == 1 && !plain[0].marks.0.contains(">residual<"));
+        let pulled = drawn(&|t| -0.25 * blow(t), false);
+        assert!(pulled[0].marks.0.contains(">-0.2 N<"), "{pulled:?}");
     }
 }

@@ -76,8 +76,8 @@ impl Space {
             let demands = Demands::of_trial(&trial.spec).map_err(wrong)?;
             let weighed = goal.mass.is_some() || goal.size.is_some();
             let measures = if weighed { problem::measures(&trial.spec).map_err(wrong)? } else { [0.0; 2] };
-            let asks = limits.iter().map(|limit| limit.asked(&trial.spec, demands.as_ref(), measures));
-            let asks: Vec<f64> = asks.collect();
+            let asks = limits.iter().map(|limit| (limit.asked)(&trial.spec, demands.as_ref(), measures));
+            let asks: Vec<f64> = asks.map(|asked| asked.unwrap_or(f64::INFINITY)).collect();
             if asks.iter().zip(&limits).all(|(asked, limit)| *asked <= limit.most) {
                 let cost = of_cost(goal.cost, trial, demands.as_ref());
                 let candidate = Candidate { cost, ..Candidate::default() };
@@ -129,42 +129,27 @@ struct Limit {
     key: &'static str,
     most: f64,
     unit: &'static str,
-    of: LimitQuantity,
-}
-
-/// Quantity that a limit applies to.
-enum LimitQuantity {
-    /// Demand of the decoder on a device.
-    Brain(fn(&TrialSpec, &Demands) -> f64),
-    /// Mass (0) or size (1) of the body.
-    Body(usize),
-}
-
-impl Limit {
-    /// The trial's value; infinite if its decoder cannot be exported for devices.
-    fn asked(&self, trial: &TrialSpec, demands: Option<&Demands>, measures: [f64; 2]) -> f64 {
-        match self.of {
-            LimitQuantity::Brain(of) => demands.map_or(f64::INFINITY, |demands| of(trial, demands)),
-            LimitQuantity::Body(which) => measures[which],
-        }
-    }
+    /// A trial's value, from demands of its decoder, and mass and size of its body; `None`: no decoder for devices.
+    asked: fn(&TrialSpec, Option<&Demands>, [f64; 2]) -> Option<f64>,
 }
 
 fn limits(goal: &Goal) -> Vec<Limit> {
-    let limit = |key, most: Option<f64>, unit, of| Some(Limit { key, most: most?, unit, of });
-    let of_brain = |key, most, unit, of| limit(key, most, unit, LimitQuantity::Brain(of));
+    let limit = |key, most: Option<f64>, unit, asked| Some(Limit { key, most: most?, unit, asked });
     // rounding errors must not exceed a limit
     let nearly = |most: Option<f64>| most.map(|most| most * (1.0 + 1e-9));
+    let operations = goal.operations.map(|most| most as f64);
     let all = [
-        of_brain("goal.delay", nearly(goal.delay), "s", |trial, d| {
-            d.delay as f64 * trial.time.duration / trial.time.samples as f64
+        limit("goal.delay", nearly(goal.delay), "s", |trial, demands, _| {
+            Some(demands?.delay as f64 * trial.time.duration / trial.time.samples as f64)
         }),
-        of_brain("goal.memory", goal.memory, "kB", |_, d| (d.constants + d.memory) as f64 / 1e3),
-        of_brain("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
-            d.operations as f64
+        limit("goal.memory", goal.memory, "kB", |_, demands, _| {
+            demands.map(|d| (d.constants + d.memory) as f64 / 1e3)
         }),
-        limit("goal.mass", nearly(goal.mass), "g", LimitQuantity::Body(0)),
-        limit("goal.size", nearly(goal.size), "mm", LimitQuantity::Body(1)),
+        limit("goal.operations", operations, "multiply-adds", |_, demands, _| {
+            Some(demands?.operations as f64)
+        }),
+        limit("goal.mass", nearly(goal.mass), "g", |_, _, [mass, _]| Some(mass)),
+        limit("goal.size", nearly(goal.size), "mm", |_, _, [_, size]| Some(size)),
     ];
     all.into_iter().flatten().collect()
 }

@@ -33,8 +33,8 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
 
-use crate::look::page_style;
 use crate::look::wave::SCRIPT;
+use crate::look::{Format, page_style};
 use crate::reader::StoredTrial;
 use crate::report::samples::Replayed;
 pub use address::Address;
@@ -139,6 +139,9 @@ async fn connection(stream: TcpStream, app: Router, served: Arc<ServerState>, gu
 fn pages(served: Arc<ServerState>) -> Router {
     let asset =
         |kind: &'static str, text: String| get(move || async move { ([(header::CONTENT_TYPE, kind)], text) });
+    let rows = |format: Format, kind: &'static str| {
+        get(move |served, at, asked| pages::sql::file(served, at, asked, format, kind))
+    };
     Router::new()
         .route("/", get(pages::home))
         .route("/style.css", asset("text/css; charset=utf-8", page_style() + include_str!("serve.css")))
@@ -152,8 +155,8 @@ fn pages(served: Arc<ServerState>) -> Router {
         .route("/{source}/compare", get(pages::compare::page))
         .route("/{source}/map", get(pages::map::page))
         .route("/{source}/sql", get(pages::sql::page))
-        .route("/{source}/sql.csv", get(pages::sql::csv))
-        .route("/{source}/sql.parquet", get(pages::sql::parquet))
+        .route("/{source}/sql.csv", rows(Format::Csv, "text/csv; charset=utf-8"))
+        .route("/{source}/sql.parquet", rows(Format::Parquet, "application/vnd.apache.parquet"))
         .route("/{source}/events", get(events))
         .route("/{source}/control", post(steer::post))
         .fallback(async || PageError::NoPage)

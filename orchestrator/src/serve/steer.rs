@@ -17,35 +17,21 @@ use crate::exit::chain;
 const LINE: usize = 1 << 10;
 const ASKING: Duration = Duration::from_secs(5);
 
-type SteerResponse = (StatusCode, String);
-
 /// Passes on a command, and answers with its result.
 pub async fn post(
     State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
     headers: HeaderMap,
     body: Body,
-) -> SteerResponse {
-    match steer(&served, &at, &headers, body).await {
-        Ok(said) => (StatusCode::OK, said),
-        Err(answer) => answer,
-    }
-}
-
-async fn steer(
-    served: &ServerState,
-    at: &str,
-    headers: &HeaderMap,
-    body: Body,
-) -> Result<String, SteerResponse> {
+) -> Result<String, (StatusCode, String)> {
     let refuse = |status: StatusCode, why: &str| Err((status, why.to_owned()));
-    if !served.steering.as_ref().zip(bearer(headers)).is_some_and(|(token, given)| token.is(given)) {
+    if !served.steering.as_ref().zip(bearer(&headers)).is_some_and(|(token, given)| token.is(given)) {
         return refuse(
             StatusCode::UNAUTHORIZED,
             "needs the token of the address that `metasense serve` printed",
         );
     }
-    let Some(db) = source(served, at).ok().and_then(|source| source.db.as_ref()) else {
+    let Some(db) = source(&served, &at).ok().and_then(|source| source.db.as_ref()) else {
         return refuse(StatusCode::NOT_FOUND, "no such database, or it is a folder of shards");
     };
     let bytes = match tokio::time::timeout(ASKING, to_bytes(body, LINE)).await {

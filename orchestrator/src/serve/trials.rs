@@ -9,7 +9,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::analysis::setting::{Setting, Settings};
-use crate::cell::plain;
+use crate::cell::{brief, plain};
 use crate::reader::Reader;
 use crate::store::StoreError;
 
@@ -79,7 +79,7 @@ impl TrialRow {
             (_, Some(i)) if self.numbers[i].fract() == 0.0 => (self.numbers[i] as i64).into(),
             (_, Some(i)) => self.numbers[i].into(),
             (_, None) => match self.setting.get(key) {
-                Some(value) => value.clone(),
+                Some(value) => in_short(value),
                 None => {
                     let below = format!("{key}.");
                     let said = || self.setting.leaves().keys().any(|path| path.starts_with(&below));
@@ -97,6 +97,14 @@ impl TrialRow {
     pub fn number(&self, name: &str) -> Option<f64> {
         let at = NUMBERS.iter().position(|(known, _)| *known == name).expect("a number of a trial");
         Some(self.numbers[at]).filter(|x| !x.is_nan())
+    }
+}
+
+/// A value of the spec; long lists and tables as their size.
+fn in_short(value: &Value) -> Value {
+    match value {
+        Value::Array(_) | Value::Object(_) => brief(value).into(),
+        scalar => scalar.clone(),
     }
 }
 
@@ -210,10 +218,8 @@ impl Keeper {
         for shared in self.settings.shared() {
             for (key, value) in shared {
                 let of_key = values.entry(key).or_default();
-                let text = plain(value);
-                // the filter would split a value with blanks
-                if of_key.len() < MOST_VALUES && !text.contains(char::is_whitespace) {
-                    of_key.insert(text);
+                if of_key.len() < MOST_VALUES {
+                    of_key.insert(plain(&in_short(value)));
                 }
             }
         }
@@ -251,6 +257,15 @@ pub fn terms(text: &str) -> Result<Vec<Term>, String> {
     });
     let words: Vec<&str> = parts.filter(|word| !word.is_empty()).collect();
     words.into_iter().map(Term::new).collect()
+}
+
+/// The condition that a key has a value; `None` if [`terms`] cannot read it.
+pub fn condition(key: &str, value: &str) -> Option<String> {
+    let quote = if value.contains(char::is_whitespace) { "\"" } else { "" };
+    let text = format!("{key}={quote}{value}{quote}");
+    let read = terms(&text).ok()?;
+    let same = |term: &Term| term.key == key && term.relation == "=" && term.value == value;
+    matches!(&read[..], [term] if same(term)).then_some(text)
 }
 
 impl Term {

@@ -150,8 +150,8 @@ impl StoreError {
     }
 
     /// A stored value of a trial cannot be read.
-    pub(crate) fn unreadable(hash: &str, what: &'static str, message: String) -> Self {
-        Self::Unreadable { hash: hash.to_owned(), what, message }
+    pub(crate) fn unreadable(hash: &str, what: &'static str, message: impl ToString) -> Self {
+        Self::Unreadable { hash: hash.to_owned(), what, message: message.to_string() }
     }
 
     /// Changes the failed operation to opening.

@@ -35,8 +35,7 @@ pub(crate) const RELEASE_ORPHANS: &str = "
 pub(crate) fn read_checkpoint(hash: &str, stored: (Vec<u8>, Option<Vec<u8>>)) -> Result<Checkpoint> {
     let (bytes, checksum) = stored;
     check(hash, "checkpoint", &bytes, &checksum.unwrap_or_default())?;
-    Checkpoint::from_bytes(&bytes)
-        .map_err(|error| StoreError::unreadable(hash, "checkpoint", error.to_string()))
+    Checkpoint::from_bytes(&bytes).map_err(|error| StoreError::unreadable(hash, "checkpoint", error))
 }
 
 impl Store {
@@ -289,7 +288,7 @@ impl Store {
         });
         match done.await {
             Err(StoreError::Sql { source, .. }) if is_no_json(&source) => {
-                Err(StoreError::unreadable(hash, "spec", "it is not JSON".into()))
+                Err(StoreError::unreadable(hash, "spec", "it is not JSON"))
             }
             Err(error) => Err(error),
             Ok(true) => Ok(()),

@@ -48,6 +48,8 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
 /// Returns the message for a key, or for its value as written, if it was removed.
 pub fn removed(key: &str, value: &str) -> Option<&'static str> {
     let is = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
-    let has_value = |given: Option<&str>| given.is_none_or(|given| value.contains(&format!("\"{given}\"")));
+    let written =
+        |given: &str| ['"', '\''].iter().any(|quote| value.contains(&format!("{quote}{given}{quote}")));
+    let has_value = |given: Option<&str>| given.is_none_or(written);
     REMOVED.iter().find(|(name, given, _)| is(name) && has_value(*given)).map(|(.., why)| *why)
 }

@@ -152,6 +152,11 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         ),
         ("rows = 6", "rows = ", "a.toml:4: not valid TOML: "),
         (
+            "[stimuli]",
+            "[optimise]\nprotocol = 'warm'\n[stimuli]",
+            "a.toml:10: optimise.protocol = 'warm': removed: no benefit; use \"joint\"",
+        ),
+        (
             "\"body.columns\" = [5, 6]",
             "\"body.columns\" = 5",
             "a.toml:14: sweep.\"body.columns\" = 5: must be a list of values, because it is an axis",

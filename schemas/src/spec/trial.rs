@@ -134,11 +134,11 @@ fn digest_of_text(text: &str) -> String {
     blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
 }
 
-/// Returns the leaves of a JSON object by path.
+/// Returns the leaves of a spec by path. A body from a file is one leaf.
 pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
     fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {
         match value {
-            Value::Object(map) => {
+            Value::Object(map) if path != "body.file" => {
                 for (key, value) in map {
                     let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
                     walk(&path, value, leaves);

@@ -5,7 +5,7 @@ use metasense_kernels::body::Layout;
 use metasense_kernels::brain::linear::{Fit, Lags, Normal, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
 use metasense_kernels::dynamics::{
-    Accuracy, Forces, Frame, Method, Panel, PartFactors, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
+    Accuracy, Forces, Method, Panel, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
 };
 
 /// Runs `work` and returns its result and the number of heartbeats.
@@ -25,24 +25,14 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let scene = Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: PartFactors::default(),
-        relaxation: None,
         damping_ratio: 0.02,
-        damping: None,
-        inertia: None,
-        contact: None,
-        linearised: false,
         clamped: vec![0, 1, 2],
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: vec![Panel::central(7, [0.0, -1.0])],
         sensors: vec![4],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
         duration: 0.1,
         instants,
         layout,
+        ..Scene::default()
     };
     let design = scene.layout.initial_design(0.4363);
     let push = |n: usize| 0.2 * (0.3 * n as f64).sin();

@@ -104,8 +104,7 @@ fn looked(described: &Described) -> Vec<Looked> {
     let raw: Vec<(usize, &Raw)> = described
         .records
         .iter()
-        .enumerate()
-        .filter_map(|(n, record)| Some((n, record.as_ref().ok()?)))
+        .filter_map(|(number, record)| Some(((*number)?, record.as_ref().ok()?)))
         .collect();
     let history = |of: &metasense_worker::records::Record| History {
         start: of.start,

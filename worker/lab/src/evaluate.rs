@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use metasense_numerics::brains::{HeldOutEstimates, Recipe, Records};
+use metasense_numerics::brains::{HeldOutEstimates, Recipe, records};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli;
 use metasense_numerics::trial::Trial;
@@ -115,7 +115,7 @@ pub fn evaluate(
             "--folds {folds}: must lie between 2 and {samples}, the number of records"
         )));
     }
-    let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
+    let records = records(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(brain), ..problem.recipe() };
     let dealt = stimuli::folds(problem.seed, samples, folds);
 
@@ -133,8 +133,10 @@ pub fn evaluate(
                 continue;
             }
             let (fold, seed) = (number % folds, (number / folds) as u64);
-            let network = records.decode_fold(&dealt, fold, recipe, seed, iterations, &pool);
-            let network = Network::new(network, number < folds);
+            let (unseen, known): (Vec<usize>, Vec<usize>) = (0..samples).partition(|&i| dealt[i] == fold);
+            let [unseen, known] = [unseen, known].map(|numbers| records.select(&numbers));
+            let estimates = HeldOutEstimates::of(&known, &unseen, recipe, seed, iterations, &pool);
+            let network = Network::new(estimates, number < folds);
             kept.store_network(number, &network);
             found.push((number, network));
         }
@@ -148,8 +150,8 @@ pub fn evaluate(
     let mut networks = networks.into_iter().map(|(_, network)| network);
     let by_seed: Vec<Vec<Network>> = (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
     let members = stimuli::members(&dealt);
-    let size = records.targets().len() / samples;
-    let mut predictions = vec![0.0; records.targets().len()];
+    let size = records.targets.len() / samples;
+    let mut predictions = vec![0.0; records.targets.len()];
     for (network, records) in by_seed.iter().flatten().take(folds).zip(&members) {
         for (predicted, record) in network.predictions.chunks_exact(size).zip(records) {
             predictions[record * size..][..size].copy_from_slice(predicted);
@@ -167,7 +169,7 @@ pub fn evaluate(
         errors_train: map_networks(&by_seed, |network| network.error_train),
         progress: map_networks(&by_seed, |network| network.progress.clone()),
         outcomes: map_networks(&by_seed, |network| network.outcome.clone()),
-        targets: records.targets().to_vec(),
+        targets: records.targets,
         folds: dealt,
         predictions,
         posterior: None,
@@ -201,7 +203,7 @@ pub fn estimate_by_inverse(
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     let Measured { forces, signals, low_pass, .. } = measured;
-    let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
+    let records = records(forces, signals.clone(), problem.scene.instants, *low_pass);
     let one = signals.len() / forces.samples;
     let mut found: Vec<Option<Network>> = (0..parts(forces.samples)).map(|part| kept.network(part)).collect();
     if found.contains(&None) {
@@ -222,8 +224,8 @@ pub fn estimate_by_inverse(
     parts.for_each(|part| posterior.extend(part));
     Ok(Evaluated {
         folds: vec![0; forces.samples],
-        targets: records.targets().to_vec(),
         errors: vec![records.errors(&posterior.forces).into_iter().map(finite).collect()],
+        targets: records.targets,
         predictions: posterior.forces.clone(),
         errors_train: vec![vec![None]],
         progress: vec![vec![Vec::new()]],
@@ -257,16 +259,16 @@ pub fn evaluate_by_twin(
     }
     let [known, _] = problem.training_and_test();
     let known = ready.samples(design, cast, known)?;
-    let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
+    let records = records(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };
-    let of = |number| records.decode_all(&known, recipe, number as u64, effort.iterations, &pool);
+    let of = |number| HeldOutEstimates::of(&known, &records, recipe, number as u64, effort.iterations, &pool);
     let found: Vec<Network> = (0..effort.seeds).map(|number| Network::new(of(number), number == 0)).collect();
     let evaluated = Evaluated {
         errors: found.iter().map(|network| network.errors.iter().map(|e| finite(*e)).collect()).collect(),
         errors_train: found.iter().map(|network| vec![network.error_train]).collect(),
         progress: found.iter().map(|network| vec![network.progress.clone()]).collect(),
         outcomes: found.iter().map(|network| vec![network.outcome.clone()]).collect(),
-        targets: records.targets().to_vec(),
+        targets: records.targets,
         folds: folds.to_vec(),
         predictions: found[0].predictions.clone(),
         posterior: None,

@@ -91,8 +91,8 @@ pub struct Raw {
 pub struct Described {
     /// The description.
     pub spec: keys::Measured,
-    /// Per record, its data or the fault, in file order.
-    pub records: Vec<Result<Raw, String>>,
+    /// Per record or unreadable file, in file order: its first number, if known, and the data or the fault.
+    pub records: Vec<(Option<usize>, Result<Raw, String>)>,
 }
 
 /// Parses a description of records.
@@ -127,37 +127,45 @@ pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
 /// Names file, key and value of faults that concern all records.
 pub fn read_raw(file: &Path, trial: &TrialSpec) -> Result<Described, MeasuredError> {
     let (source, spec) = described(file)?;
+    let refuse = |invalid: Invalid| refused(&source, invalid);
     let mut records = Vec::new();
-    let all = raw(&spec, trial, false, &mut |record| {
-        records.push(record.map_err(|e: Invalid| refused(&source, e).to_string()));
+    let count = raw(&spec, trial, false, &mut |number, record| {
+        records.push((number, record.map_err(|invalid| refuse(invalid).to_string())));
         Ok(())
     });
-    let forces: Vec<&Record> = records.iter().flatten().map(|raw: &Raw| &raw.force).collect();
-    let all = all.and_then(|()| check_counts(&spec, &forces, records.len(), trial));
-    all.map_err(|invalid| refused(&source, invalid))?;
+    let count = count.map_err(refuse)?;
+    let forces: Vec<&Record> = records.iter().flat_map(|(_, raw)| raw).map(|raw: &Raw| &raw.force).collect();
+    check_counts(&spec, &forces, count, trial).map_err(refuse)?;
     Ok(Described { spec, records })
 }
 
-/// Passes each record to `each`, which may reject it. `whole`: signals must cover the sample.
+/// Passes each record or its fault, with its number if known, to `each`, which may reject it. `whole`: signals must cover the
+/// sample. Returns the number of records, if known: that of an unreadable file is one if keys have no other number of entries.
 fn raw(
     spec: &keys::Measured,
     trial: &TrialSpec,
     whole: bool,
-    each: &mut dyn FnMut(Result<Raw, Invalid>) -> Result<(), Invalid>,
-) -> Result<(), Invalid> {
+    each: &mut dyn FnMut(Option<usize>, Result<Raw, Invalid>) -> Result<(), Invalid>,
+) -> Result<Option<usize>, Invalid> {
     let keys::Measured { recorded, signals } = spec;
     check(recorded, signals, trial)?;
     let (panels, channels, duration) = (trial.panel_units.len(), trial.signals(), trial.time.duration);
     let picks = [Pick::forces(recorded, "recorded"), pick(recorded, signals, channels)];
     let [of_forces, of_signals] = picks.each_ref().map(Pick::read);
     let keys::MeasuredSignals { header, separator, decimal, .. } = *signals;
-    let own = Form::of_signals(header, separator, decimal, of_signals.clone());
+    let own = Form { header, separator, decimal, read: of_signals.clone(), keys: Some("signals") };
     let read = match &signals.files {
         Some(_) => of_forces,
         None => of_forces.zip(of_signals).map(|(forces, signals)| [forces, signals].concat()),
     };
     let form = Form::of_forces(recorded, "recorded", read);
-    let (mut seen, mut number) = (Seen::new(), 0);
+    let starts = match &signals.start {
+        Some(Start::Each(starts)) => Some(starts.len()),
+        _ => None,
+    };
+    let entries = [starts, recorded.panels.as_ref().map(Vec::len)];
+    let unread = entries.into_iter().flatten().all(|entries| entries == recorded.files.len()).then_some(1);
+    let (mut seen, mut number) = (Seen::new(), Some(0));
     for (n, file) in recorded.files.iter().enumerate() {
         let wrong = |what: String| records::file_error(file, what);
         let beside = signals.files.as_ref().map(|files| &files[n]);
@@ -178,21 +186,25 @@ fn raw(
             }
             Ok((of_file, read))
         };
-        let (of_file, read) = match of_file() {
-            Ok(both) => both,
+        let unknown = || {
+            wrong("is not checked: a file before it is unreadable, which hides its panels and starts".into())
+        };
+        let held = of_file().and_then(|(of_file, read)| Ok((of_file, read, number.ok_or_else(unknown)?)));
+        let (of_file, read, first) = match held {
+            Ok(held) => held,
             Err(invalid) => {
-                number += 1;
-                each(Err(invalid))?;
+                each(number, Err(invalid))?;
+                number = number.zip(unread).map(|(number, unread)| number + unread);
                 continue;
             }
         };
         let count = read.len();
+        number = Some(first + count);
         for (i, (mut force, mut signal)) in of_file.into_iter().zip(read).enumerate() {
             let wrong = |what| wrong(records::numbered(i, count, what));
             let wrong_beside = |what| wrong_beside(records::numbered(i, count, what));
-            let start = signals.start.as_ref().map_or(0.0, |start| start.time_of(number));
+            let start = signals.start.as_ref().map_or(0.0, |start| start.time_of(first + i));
             let place = format!("{:?}, record {i}", beside.unwrap_or(file).display().to_string());
-            number += 1;
             let one = || {
                 fit(signals, &force, &signal, trial).map_err(wrong_beside)?;
                 records::check_step(&picks[0], &force, duration).map_err(wrong)?;
@@ -213,15 +225,15 @@ fn raw(
                 if whole {
                     check_span(&force, &signal, duration, trial.time.samples).map_err(wrong_beside)?;
                 }
-                let panel = recorded.panels.as_ref().and_then(|struck| struck.get(number - 1).copied());
+                let panel = recorded.panels.as_ref().and_then(|struck| struck.get(first + i).copied());
                 let name = beside.unwrap_or(file).file_name().unwrap_or_default().display();
                 let place = if count == 1 { name.to_string() } else { format!("{name}, record {i}") };
                 Ok(Raw { place, force, signal, read, panel, start })
             };
-            each(one())?;
+            each(Some(first + i), one())?;
         }
     }
-    Ok(())
+    Ok(number)
 }
 
 fn measured(spec: &keys::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
@@ -229,7 +241,7 @@ fn measured(spec: &keys::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     let panels = trial.panel_units.len();
     let (duration, instants) = (trial.time.duration, trial.time.samples);
     let (mut forces, mut readings, mut starts) = (Vec::new(), Vec::new(), Vec::new());
-    raw(spec, trial, true, &mut |record| {
+    raw(spec, trial, true, &mut |_, record| {
         let Raw { mut force, mut signal, start, .. } = record?;
         let first = on_instants(&mut force, &mut signal, duration / instants as f64);
         starts.push(start);
@@ -237,7 +249,7 @@ fn measured(spec: &keys::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         readings.push((signal, first));
         Ok(())
     })?;
-    check_counts(spec, &forces.iter().collect::<Vec<_>>(), forces.len(), trial)?;
+    check_counts(spec, &forces.iter().collect::<Vec<_>>(), Some(forces.len()), trial)?;
     let own = trial.stimuli.force_samples.unwrap_or(instants);
     // the force of a hammer is smooth between its entries
     let is_smooth =
@@ -313,27 +325,28 @@ fn check_margin(deviation: f64, forces: &Forces, time: spec::Time) -> Result<(),
     Ok(())
 }
 
-/// Checks the lengths of keys with one entry per record.
+/// Checks the lengths of keys with one entry per record; `count`: number of records, if known.
 fn check_counts(
     keys::Measured { recorded, signals }: &keys::Measured,
     forces: &[&Record],
-    count: usize,
+    count: Option<usize>,
     trial: &TrialSpec,
 ) -> Result<(), Invalid> {
     let panels = trial.panel_units.len();
     let Some(first) = forces.first() else {
-        return if count > 0 {
-            Ok(())
-        } else {
+        return if count == Some(0) {
             Err(records::file_error(&recorded.files[0], "contains no records"))
+        } else {
+            Ok(())
         };
     };
-    if let Some(Start::Each(given)) = &signals.start
+    if let (Some(Start::Each(given)), Some(count)) = (&signals.start, count)
         && given.len() != count
     {
         let remedy = format!("must be one number, or one for each of the {count} records");
         return Err(invalid("signals.start", format!("{} numbers", given.len()), remedy));
     }
+    let count = count.unwrap_or(recorded.panels.as_ref().map_or(0, Vec::len));
     records::check_panels(recorded, forces, count, panels)?;
     if first.values.len() < panels && recorded.panels.is_none() {
         let remedy = format!("must name the panel, from 0 to {}, that each record strikes", panels - 1);

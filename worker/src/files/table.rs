@@ -35,16 +35,6 @@ impl<'a> Form<'a> {
         Self { header, separator, decimal, read, keys: Some(keys) }
     }
 
-    /// Form of files that contain only signals.
-    pub fn of_signals(
-        header: Option<bool>,
-        separator: Option<Separator>,
-        decimal: Option<Decimal>,
-        read: Option<Vec<&'a Signal>>,
-    ) -> Self {
-        Self { header, separator, decimal, read, keys: Some("signals") }
-    }
-
     /// End of an error message: the key that resolves the ambiguity.
     fn settle(&self, choices: &str) -> String {
         match self.keys {

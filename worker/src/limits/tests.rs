@@ -8,8 +8,8 @@ fn what_no_machine_has_is_refused_by_name() {
     let files = [&*here];
     assert_eq!(check(&Needs { workers: 1, threads: 1, files: &files }), Ok(()));
     let short = check(&Needs { workers: u32::MAX, threads: 1, files: &files }).unwrap_err();
-    let Amount::Count(needed) = short.needed else { panic!("{short}") };
-    assert!(needed > u64::from(u32::MAX) && short.to_string().contains("workers"), "{short}");
+    let counts = !short.bytes && short.needed > u64::from(u32::MAX);
+    assert!(counts && short.to_string().contains("workers"), "{short}");
 }
 
 /// Recognises system errors of shortages in their usual forms, and no others.
@@ -29,7 +29,8 @@ fn words_of_a_shortage_are_told_from_others() {
 /// Sizes have readable units.
 #[test]
 fn a_shortage_says_what_is_there_and_what_is_needed() {
-    let limit =
-        Limit { what: "x".into(), most: 100 << 20, used: 1 << 10, needed: 1 << 30, bytes: true, remedy: "y" };
-    assert_eq!(limit.check().unwrap_err().to_string(), "x: 100 MiB, 1 KiB in use, 1024 MiB needed; y");
+    let (what, remedy) = ("x".into(), "y");
+    let limit = Shortage { what, most: 100 << 20, used: 1 << 10, needed: 1 << 30, bytes: true, remedy };
+    assert_eq!(limit.to_string(), "x: 100 MiB, 1 KiB in use, 1024 MiB needed; y");
+    assert_eq!(Shortage { most: 2 << 30, ..limit }.if_short(), None);
 }

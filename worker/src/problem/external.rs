@@ -1,5 +1,6 @@
 //! Trials with an external body: checks of the spec, and conversion to a problem.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use metasense_numerics::dynamics::{Panel, Scene};
@@ -131,7 +132,7 @@ pub fn described(spec: &SweepSpec, mut description: Description) -> Result<Sweep
 }
 
 /// Checks a description.
-fn check(description: &Description) -> Result<(), Invalid> {
+pub(super) fn check(description: &Description) -> Result<(), Invalid> {
     let Description { alpha, lower, upper, constraints, panels, sensors, channels, .. } = description;
     let holds = |holds: bool, key: &str, remedy: &str| {
         require(holds, "body.command", format!("{}: {key}", description.name), remedy)
@@ -145,12 +146,14 @@ fn check(description: &Description) -> Result<(), Invalid> {
         holds(sound, key, &format!("must contain {n} finite numbers, one per number of alpha"))?;
     }
     for row in constraints {
-        let terms = row.terms.iter().all(|(i, a)| *i < n && a.is_finite());
+        let numbers: BTreeSet<usize> = row.terms.iter().map(|(i, _)| *i).collect();
+        let terms =
+            numbers.len() == row.terms.len() && row.terms.iter().all(|(i, a)| *i < n && a.is_finite());
         let some = row.terms.iter().any(|(_, a)| *a != 0.0) && (row.least.is_some() || row.most.is_some());
         holds(
             terms && some,
             "constraints",
-            &format!("must have terms of numbers 0 to {}, and a limit", n - 1),
+            &format!("must have terms of distinct numbers 0 to {}, and a limit", n - 1),
         )?;
     }
     for (names, key, most) in

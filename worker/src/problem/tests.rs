@@ -489,3 +489,18 @@ fn blows_anywhere_need_forces() {
     .unwrap_err();
     assert!(invalid.key == "stimuli.anywhere" && invalid.remedy.contains("base"), "{invalid:?}");
 }
+
+/// Each number of an external design has one coefficient per constraint.
+#[test]
+fn a_constraint_names_no_number_twice() {
+    let check = |terms: Value| {
+        let description = json!({
+            "name": "b", "alpha": [1.0, 2.0], "constraints": [{ "terms": terms, "least": 0.0 }],
+            "panels": ["p"], "sensors": ["s"], "channels": ["ax"],
+        });
+        external::check(&serde_json::from_value(description).unwrap())
+    };
+    check(json!([[0, 1.0], [1, 1.0]])).unwrap();
+    let refused = check(json!([[0, 1.0], [0, 1.0]])).unwrap_err();
+    assert!(refused.remedy.contains("distinct"), "{refused}");
+}

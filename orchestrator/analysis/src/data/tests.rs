@@ -78,6 +78,17 @@ fn groups_differ_in_what_their_labels_say() {
     let told = labels(&[given(0.5), given(0.6)]);
     let named = |label: &String| label.starts_with("K = 2, M = 1, body.design.shifts = 32 numbers (");
     assert!(told.iter().all(named) && told[0] != told[1] && told[0].len() < 60, "{told:?}");
+    // a body from a file is one value
+    let from_file = |x: f64| {
+        let units = json!([[[x, 0.0], [1.0, 0.0], [0.0, 1.0]], [[2.0, 0.0], [3.0, 0.0], [2.0, 1.0]]]);
+        with(
+            trial(2, 5, 1, 0),
+            &json!({"body": {"file": {"units": units, "clamp": [], "panels": [{"unit": 0}]}}}),
+        )
+    };
+    let told = labels(&[from_file(0.0), from_file(0.1)]);
+    let named = |label: &String| label.starts_with("K = 2, M = 1, body.file = 2 units (");
+    assert!(told.iter().all(named) && told[0] != told[1] && told[0].len() < 50, "{told:?}");
 }
 
 /// Evaluation on casts in some trials does not separate them from the others; different variations do.

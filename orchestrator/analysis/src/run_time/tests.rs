@@ -10,8 +10,8 @@ fn the_front_holds_what_nothing_beats() {
 #[test]
 fn time_to_an_error_is_that_of_the_first_step_which_has_it() {
     let history = [(1.0, 20.0), (2.0, 12.0), (4.0, 12.0), (5.0, 9.0)];
-    assert_eq!(time_to(&history, 12.0), Some(2.0));
-    assert_eq!(time_to(&history, 5.0), None);
+    assert_eq!(first_at(&history, 12.0), Some(2.0));
+    assert_eq!(first_at(&history, 5.0), None);
     assert_eq!(best_at(&history, 4.5), Some(12.0));
     assert_eq!(best_at(&history, 0.5), None);
 }

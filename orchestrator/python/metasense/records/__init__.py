@@ -29,16 +29,7 @@ __all__ = ["Column", "Record", "Recording", "RecordsError", "blows", "convert", 
 Key = str | int
 # By name as it stands, else in small letters; mN and kN only as they stand, since MN is not mN
 _FORCE = {"n": "N", "newton": "N", "newtons": "N", "mN": "mN", "kN": "kN"}
-_ACCELERATION = {
-    "g": "g",
-    "gn": "g",
-    "m/s2": "m/s2",
-    "m/s^2": "m/s2",
-    "m/s²": "m/s2",
-    "mm/s2": "mm/s2",
-    "mm/s^2": "mm/s2",
-    "mm/s²": "mm/s2",
-}
+_ACCELERATION = {"g": "g", "gn": "g"} | {f"{of}/s{two}": f"{of}/s2" for of in ("m", "mm") for two in ("2", "^2", "²")}
 _ANGULAR = {"deg/s": "deg/s", "°/s": "deg/s", "º/s": "deg/s", "dps": "deg/s", "rad/s": "rad/s"}
 
 

@@ -173,20 +173,8 @@ def _uff(file: Path) -> list[Recording]:
     return grouped(file, columns)
 
 
-_DIRECTIONS = {
-    1: "+X",
-    -1: "-X",
-    2: "+Y",
-    -2: "-Y",
-    3: "+Z",
-    -3: "-Z",
-    4: "+RX",
-    -4: "-RX",
-    5: "+RY",
-    -5: "-RY",
-    6: "+RZ",
-    -6: "-RZ",
-}
+_AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
+_DIRECTIONS = {by * n: sign + axis for n, axis in enumerate(_AXES, 1) for by, sign in ((1, "+"), (-1, "-"))}
 
 
 def _numpy(file: Path) -> list[Recording]:

@@ -9,7 +9,7 @@ use std::time::Duration;
 use metasense_schemas::record::Trial;
 
 use super::queued::submit_shards;
-use super::{Args, Program, launch_config, note_here, prepare, print, write_assignment};
+use super::{Args, Program, launch_config, note_here, prepare, print};
 use crate::analysis::until::TrialErrors;
 use crate::cli::results::Results;
 use crate::cli::{Error, Format, design, run};
@@ -135,7 +135,8 @@ impl Runs for Shards<'_> {
         }
         let folder = self.submission.folder.clone();
         let assignment = Assignment::in_folder(&folder, &open, self.submission.shards)?;
-        write_assignment(&assignment, &folder, &open)?;
+        assignment.write(&folder)?;
+        assignment.write_trials(&folder, &open)?;
         let which: BTreeSet<u32> = open.iter().map(|trial| assignment.shard(&trial.hash)).collect();
         self.submission.which = which.into_iter().collect();
         say!("{} in shards {}", counted(open.len(), "trial"), ranges(&self.submission.which));

@@ -11,6 +11,7 @@ use super::trial::{Trial, curves};
 use super::{ServerState, framed, to_trial};
 use crate::analysis::compare::Comparison;
 use crate::analysis::setting::flatten;
+use crate::cell::brief;
 use crate::look::short_hash;
 use crate::look::{Figure, Table, legend, number, row};
 use crate::plan::counted;
@@ -145,7 +146,7 @@ fn facts(a: &Trial, b: &Trial) -> Table {
 fn differences(a: &Trial, b: &Trial) -> Table {
     let [a, b] = [a, b].map(|trial| flatten(&serde_json::from_str(&trial.spec).unwrap_or_default()));
     let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
-    let text = |value: Option<&Value>| value.map_or(Value::Null, |value| value.to_string().into());
+    let text = |value: Option<&Value>| value.map_or(Value::Null, |value| brief(value).into());
     let rows = keys.into_iter().filter(|key| a.get(*key) != b.get(*key));
     Table::new(
         "key first second",

@@ -18,7 +18,7 @@ use crate::look::grid::{Cell, grid};
 use crate::look::number;
 use crate::plan::counted;
 use crate::report::K_AND_M;
-use crate::serve::trials::TrialRow;
+use crate::serve::trials::{TrialRow, condition};
 use crate::serve::{PageError, source};
 
 /// Quantities that colour cells, with their descriptions.
@@ -80,12 +80,13 @@ pub async fn page(
     framed(&served, &at, "map", "Sweep map", Some(seen.generation), &content)
 }
 
-/// Filter conditions for a cell's kind of placement, decoders and objective.
-fn alike(row: &TrialRow) -> String {
-    let said = |path| Some(row.cell(path)).filter(|v| !v.is_null()).map(|v| format!(" {path}={}", plain(&v)));
+/// Filter conditions for a cell's kind of placement, decoders and objective; `None` if they cannot be written.
+fn alike(row: &TrialRow) -> Option<String> {
     ["sensors.search", "brain.kind", "optimise.brain", "optimise.objective", "optimise.objective.cvar"]
         .into_iter()
-        .filter_map(said)
+        .map(|path| (path, row.cell(path)))
+        .filter(|(_, value)| !value.is_null())
+        .map(|(path, value)| Some(format!(" {}", condition(path, &plain(&value))?)))
         .collect()
 }
 
@@ -129,12 +130,11 @@ fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str, down: &str) -> (Vec<Pictu
             let Some(rows) = cells.get(&(name.clone(), sensors)) else { return Cell::default() };
             let done = rows.iter().filter(|row| row.state == "done").count();
             let to = match &rows[..] {
-                [row] => to_trial(at, &row.hash),
-                rows => {
-                    let same = alike(&rows[0]);
-                    let asked = format!("K={panels} M={sensors} {down}={name} units={units}{same}");
+                [row] => Some(to_trial(at, &row.hash)),
+                rows => condition(down, name).zip(alike(&rows[0])).map(|(own, same)| {
+                    let asked = format!("K={panels} M={sensors} {own} units={units}{same}");
                     format!("trials{}", query(&[("q", &asked)]))
-                }
+                }),
             };
             let told = value(rows);
             let state = if rows.iter().any(|row| row.state == "running") { "…" } else { "–" };
@@ -145,7 +145,7 @@ fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str, down: &str) -> (Vec<Pictu
                     "M = {sensors}, {down} {name}: {done} of {} done",
                     counted(rows.len(), "trial")
                 ),
-                to: Some(to),
+                to,
             }
         };
         let drawn: Vec<Vec<Cell>> =

@@ -66,35 +66,20 @@ pub async fn page(
     framed(&served, &at, "sql", "SQL", None, &content)
 }
 
-pub async fn csv(
-    State(served): State<Arc<ServerState>>,
-    Path(at): Path<String>,
-    Query(asked): Query<SqlQuery>,
-) -> Result<Response, PageError> {
-    file(&served, &at, &asked.q, Format::Csv, "text/csv; charset=utf-8").await
-}
-
-pub async fn parquet(
-    State(served): State<Arc<ServerState>>,
-    Path(at): Path<String>,
-    Query(asked): Query<SqlQuery>,
-) -> Result<Response, PageError> {
-    file(&served, &at, &asked.q, Format::Parquet, "application/vnd.apache.parquet").await
-}
-
 /// An answer as a file. Refuses incomplete answers, because a file cannot show that it was cut.
-async fn file(
-    served: &ServerState,
-    at: &str,
-    sql: &str,
+pub async fn file(
+    State(served): State<Arc<ServerState>>,
+    Path(at): Path<String>,
+    Query(asked): Query<SqlQuery>,
     format: Format,
     kind: &'static str,
 ) -> Result<Response, PageError> {
-    let SqlAnswer { table, cut, types } = answer(served, at, sql, FILE, format == Format::Parquet).await?;
+    let typed = format == Format::Parquet;
+    let SqlAnswer { table, cut, types } = answer(&served, &at, &asked.q, FILE, typed).await?;
     if let Some(why) = cut {
         return Err(PageError::Asked(format!("{why}. For more, use `metasense query`.")));
     }
-    let file = if format == Format::Parquet { table.parquet(&types) } else { table.written(format) };
+    let file = if typed { table.parquet(&types) } else { table.written(format) };
     Ok(([(header::CONTENT_TYPE, kind)], file).into_response())
 }
 

@@ -12,6 +12,7 @@ use serde::Deserialize;
 
 use super::{ServerState, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
+use crate::cell::brief;
 use crate::look::body::Sketch;
 use crate::look::short_hash;
 use crate::look::wave::course;
@@ -197,14 +198,8 @@ pub async fn page(
 ) -> Result<Html<String>, PageError> {
     let seen = source(&served, &at)?.current_state().await;
     if seen.checked.is_none() {
-        return framed(
-            &served,
-            &at,
-            "trial",
-            "Trial",
-            Some(seen.generation),
-            &live("facts", &trouble(&seen)),
-        );
+        let why = live("facts", &trouble(&seen));
+        return framed(&served, &at, "trial", "Trial", Some(seen.generation), &why);
     }
     let trial = Reader::with_reader(&seen.db, async |reader| Trial::read(reader, &hash).await).await?;
     let replayed = match &trial.stored {
@@ -412,7 +407,7 @@ fn spec(trial: &Trial) -> Markup {
     html! {
         details id="spec" {
             summary { "Spec" }
-            dl class="facts" { @for (key, value) in flatten(&spec) { div { dt { (key) } dd { (value) } } } }
+            dl class="facts" { @for (key, value) in flatten(&spec) { div { dt { (key) } dd { (brief(&value)) } } } }
             p class="quiet" { "Hash " (trial.hash) }
         }
     }

@@ -13,24 +13,18 @@ use super::{ServerState, framed, live, query, to_trial, trouble};
 use crate::cell::plain;
 use crate::look::{number, short_hash};
 use crate::plan::counted;
-use crate::serve::trials::{NUMBERS, TrialRow};
+use crate::serve::trials::{NUMBERS, TrialRow, condition};
 use crate::serve::{PageError, source};
 
 /// Number of trials on a page.
 const ON_A_PAGE: usize = 100;
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct TrialsQuery {
     q: String,
     sort: String,
     page: usize,
-}
-
-impl Default for TrialsQuery {
-    fn default() -> Self {
-        Self { q: String::new(), sort: String::new(), page: 1 }
-    }
 }
 
 pub async fn page(
@@ -94,7 +88,10 @@ fn keys(asked: &TrialsQuery, keys: &std::collections::BTreeMap<String, Vec<Strin
             dl {
                 @for (key, values) in keys {
                     dt { (key) " " a href=(query(&[("q", &asked.q), ("sort", key)])) { "sort" } }
-                    dd { @for value in values { a href=(with(format!("{key}={value}"))) { (value) } " " } }
+                    dd { @for value in values {
+                        @if let Some(term) = condition(key, value) { a href=(with(term)) { (value) } } @else { (value) }
+                        " "
+                    } }
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! Functions shared by the property tests.
 
 use metasense_kernels::body::Layout;
-use metasense_kernels::dynamics::{Frame, Panel, PartFactors, Scene, Stiffness};
+use metasense_kernels::dynamics::{Panel, Scene, Stiffness};
 
 /// A square lattice of the reference material, clamped below, with panel and sensor on its last unit, for 0.1 s.
 pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
@@ -9,23 +9,13 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         layout: Layout::planar(columns, rows, 15.0, 2.25),
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: PartFactors::default(),
-        relaxation: None,
         damping_ratio: 0.02,
-        damping: None,
-        inertia: None,
-        contact: None,
-        linearised: false,
         clamped: (0..columns).collect(),
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: vec![Panel::central(columns * rows - 1, [0.6, -0.8])],
         sensors: vec![columns * rows - 1],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
         duration: 0.1,
         instants,
+        ..Scene::default()
     }
 }
 

@@ -141,10 +141,11 @@ impl Findings<'_> {
     }
 
     fn files(&mut self) {
-        for (n, record) in self.described.records.iter().enumerate() {
+        for (number, record) in &self.described.records {
             if let Err(what) = record {
+                let place = number.map_or(String::new(), |number| format!("record {number}"));
                 let remedy = "correct the file, or leave the record out";
-                self.fault("file", [&format!("record {n}"), what, remedy]);
+                self.fault("file", [&place, what, remedy]);
             }
         }
         let uneven: Vec<usize> = (0..self.looked.len()).filter(|i| self.looked[*i].jitter > JITTER).collect();

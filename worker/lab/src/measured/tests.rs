@@ -362,3 +362,33 @@ fn an_array_whose_axes_cannot_be_told_apart_is_refused() {
         );
     }
 }
+
+/// A check names an unreadable file of several records. Later records keep their entries, or are not checked if these are unknown.
+#[test]
+fn an_unreadable_file_of_several_records_is_named() {
+    let values = |n: u32| -> Vec<f64> { (1..=n).map(|n| f64::from(n * n % 97)).collect() };
+    let folder = Folder::new(&[
+        ("bad.npy", b"no array"),
+        ("f.npy", &npy(&[2, 1, 21], &values(42))),
+        ("s.npy", &npy(&[2, 21, 3], &values(126))),
+    ]);
+    let look = |files: &[&str], panels: &[usize], start: &[f64]| -> Vec<_> {
+        let text = format!(
+            "[recorded]\nfiles = {files:?}\nrate = 200.0\npanels = {panels:?}\n[signals]\nfiles = {:?}\nstart = {start:?}\n",
+            vec!["s.npy"; files.len()]
+        );
+        folder.file("records.toml", text.as_bytes());
+        let records = read_raw(&folder.0.path().join("records.toml"), &trial(&[6, 8], &[4])).unwrap().records;
+        let of = |raw: Result<Raw, String>| raw.map(|raw| (raw.panel, raw.start));
+        records.into_iter().map(|(number, raw)| (number, of(raw))).collect()
+    };
+    let is_named = |of: &Result<_, String>, what: &str| of.as_ref().is_err_and(|e| e.contains(what));
+    let (bad, hidden) = ("bad.npy\": is not an NPY", "f.npy\": is not checked");
+    let found = look(&["bad.npy", "f.npy"], &[0, 0, 1, 0], &[0.0, 0.0, 0.005, 0.01]);
+    assert!(found[0].0 == Some(0) && is_named(&found[0].1, bad), "{found:?}");
+    assert!(found.len() == 2 && found[1].0.is_none() && is_named(&found[1].1, hidden), "{found:?}");
+    // with as many entries as files, an unreadable file has one record
+    let found = look(&["bad.npy", "bad.npy"], &[1; 2], &[0.01; 2]);
+    let named = found.iter().map(|(number, raw)| (*number, is_named(raw, bad)));
+    assert_eq!(named.collect::<Vec<_>>(), [(Some(0), true), (Some(1), true)]);
+}

@@ -5,9 +5,7 @@
 //! one clamped plate. The disc, cut out of a square lattice, lies in eight rigid shells of twice its density; nothing is clamped.
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{
-    Forces, Frame, Inertia, Panel, PartFactors, Scene, Stiffness, damping, simulate,
-};
+use metasense_numerics::dynamics::{Forces, Inertia, Panel, Scene, Stiffness, damping, simulate};
 use metasense_schemas::spec::{Denser, Follow, FollowBy, Polygons, Struck};
 use metasense_worker::polygons;
 
@@ -267,25 +265,18 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
             shear: number("k_shear")?,
             bend: number("k_rot")?,
         },
-        parts: PartFactors::default(),
-        relaxation: None,
         damping_ratio: 1.0,
         damping: Some([resisted[0], resisted[1], resisted[2]]),
-        inertia: None,
-        contact: None,
         linearised: case.flag("scene.linearised")?,
         clamped: held,
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: panels.iter().zip(pushes.as_chunks::<3>().0).map(panel).collect(),
         // The disc's sensors have no chip.
         chip: case.size("scene.n").is_err().then_some(Inertia { mass: CHIP, moment }),
         sensors,
-        mount: None,
-        frame: Frame::World,
         duration: number("duration")?,
         instants: case.size("scene.instants")? - 1,
         layout,
+        ..Scene::default()
     };
     let kinks = scene.instants + 1;
     let values = case.array("forces")?;

@@ -3,9 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{
-    Contact, Forces, Frame, Panel, PartFactors, PrescribedMotion, Scene, Stiffness,
-};
+use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, PrescribedMotion, Scene, Stiffness};
 use metasense_worker::{files, polygons};
 use serde_json::Value;
 
@@ -198,11 +196,7 @@ impl Case {
                 shear: number("k_shear")?,
                 bend: number("k_rot")?,
             },
-            parts: PartFactors::default(),
-            relaxation: None,
             damping_ratio: number("zeta")?,
-            damping: None,
-            inertia: None,
             contact,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
@@ -210,12 +204,11 @@ impl Case {
             imposed: pressed,
             panels,
             sensors: units("sensors")?,
-            chip: None,
-            mount: None,
             frame: if self.text("scene.frame")? == "body" { Frame::Body } else { Frame::World },
             duration: number("duration")?,
             instants: size("T")?,
             layout,
+            ..Scene::default()
         })
     }
 

@@ -217,13 +217,14 @@ impl<'a> LinearLearner<'a> {
     }
 
     /// Fits the samples of the last bodies, oldest first, with smaller weights for older ones, and cross-validates the fit on the
-    /// newest body. λ moves along the gradient of the cross-validated error. Returns the training error on the newest body (%).
+    /// newest body. λ moves along the gradient of the cross-validated error. Returns the training error on the newest body (%) and
+    /// the λ of the fit.
     fn fit_recent(
         &mut self,
         bodies: &[&Samples],
         casts: usize,
         learnt: &mut DecoderState,
-    ) -> Result<Option<f64>, Trouble> {
+    ) -> Result<(Option<f64>, f64), Trouble> {
         let problem = &self.trial.problem;
         let ridge = self.first_ridge(learnt)?;
         let (newest, earlier) = bodies.split_last().expect("the newest");
@@ -250,7 +251,7 @@ impl<'a> LinearLearner<'a> {
         let linear = solve(all, ridge)?.linear();
         let error = crossed.samples.error(&linear.predict(&crossed.samples.x));
         (self.linear, self.crossed) = (Some((linear, None)), Some(crossed));
-        Ok(error)
+        Ok((error, ridge))
     }
 
     /// Scaled samples of a body, and the numbers and normal equations of each fold's samples.
@@ -284,7 +285,7 @@ impl Learner for LinearLearner<'_> {
         learnt: &mut DecoderState,
         _: &mut Counters,
     ) -> Result<FitResult, Trouble> {
-        let error = match on {
+        let (error, ridge) = match on {
             FitOn::Recent(bodies, casts) => self.fit_recent(bodies, casts, learnt)?,
             FitOn::Optimum(train) | FitOn::Alike(train) => {
                 let train = self.plain(train);
@@ -292,11 +293,11 @@ impl Learner for LinearLearner<'_> {
                 let ridge = self.ridge_at(step, &train, &all, learnt)?;
                 let fit = solve(all, ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
-                train.error(&self.linear().predict(&train.x))
+                (train.error(&self.linear().predict(&train.x)), ridge)
             }
         };
         // Without an error, the loss is NaN.
-        Ok(FitResult { loss: error.map_or(f64::NAN, |error| 0.01 * error), error })
+        Ok(FitResult { loss: error.map_or(f64::NAN, |error| 0.01 * error), error, ridge: Some(ridge) })
     }
 
     fn casts_vjp(&mut self, casts: &[&Samples], weigh: &dyn Fn(&[Option<f64>]) -> Vec<f64>) -> Vec<Vec<f64>> {

@@ -28,7 +28,7 @@ pub(crate) use linear::solve;
 pub use network::NetworkTraining;
 pub use readings::{READINGS_MAX, Reading, fits};
 pub(crate) use readings::{own_reading, readings};
-pub use records::{HeldOutEstimates, Records};
+pub use records::{HeldOutEstimates, records};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
@@ -203,6 +203,8 @@ pub(crate) struct FitResult {
     pub(crate) loss: f64,
     /// Error on the training samples, for `Recent` on the newest body (%), if known.
     pub(crate) error: Option<f64>,
+    /// λ of the fit; for `Recent`, the decoder's state has the next one.
+    pub(crate) ridge: Option<f64>,
 }
 
 /// Kind of loss.

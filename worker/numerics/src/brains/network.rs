@@ -336,7 +336,7 @@ impl Learner for NetworkLearner<'_> {
             self.iterate(&mut weights, &mut adam, data.all(), iterations, &|_| rate, counters)?;
             let loss = self.loss(&weights, data.all());
             self.weights = weights;
-            return Ok(FitResult { loss, error: self.error(train) });
+            return Ok(FitResult { loss, error: self.error(train), ridge: None });
         }
         let mut fresh = DecoderState::untrained(self.shape.weights());
         let (first, learnt) = match on {
@@ -357,7 +357,7 @@ impl Learner for NetworkLearner<'_> {
             }
         };
         self.weights.clone_from(&learnt.weights);
-        Ok(FitResult { loss, error: None })
+        Ok(FitResult { loss, error: None, ridge: None })
     }
 
     fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>) {

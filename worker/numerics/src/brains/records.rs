@@ -9,14 +9,10 @@ use crate::dynamics::Forces;
 use crate::stimuli::targets;
 use crate::trial::{Samples, Scales, Trouble};
 
-/// Records of one body.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Records(Samples);
-
 /// Estimates for records outside the training set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeldOutEstimates {
-    /// Estimated forces (n, T, K) (N) of the fold's n records.
+    /// Estimated forces (n, T, K) (N) of the n unseen records.
     pub predictions: Vec<f64>,
     /// Errors (%); `None` for a record without force.
     pub errors: Vec<Option<f64>>,
@@ -24,69 +20,30 @@ pub struct HeldOutEstimates {
     pub error_train: Option<f64>,
     /// Training loss (normalised) of every iteration.
     pub losses: Vec<f32>,
-    /// (iteration, from 1, mean error on the fold's records (%)) at the milestones.
+    /// (iteration, from 1, mean error on the unseen records (%)) at the milestones.
     pub progress: Vec<(u32, f64)>,
     /// Failure of the fit, if any.
     pub trouble: Option<Trouble>,
 }
 
-impl Records {
-    /// Records of signals (N, T, 3M) at T instants under forces. `low_pass`: targets pass a low-pass to T instants.
-    ///
-    /// # Panics
-    /// If the signals are not a whole number of channels.
-    pub fn new(forces: &Forces, signals: Vec<f64>, instants: usize, low_pass: bool) -> Self {
-        let (readings, outputs) = (forces.samples * instants, forces.panels);
-        assert!(signals.len().is_multiple_of(readings), "signals of {} samples", forces.samples);
-        let sizes = Sizes { instants, channels: signals.len() / readings, outputs };
-        Self(Samples::new(sizes, signals, targets(forces, instants, low_pass)))
-    }
-
-    /// True forces (N, T, K) (N).
-    pub fn targets(&self) -> &[f64] {
-        &self.0.targets
-    }
-
-    /// Error (%) per record of these estimates (N, T, K) (N); `None` for a record without force.
-    pub fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
-        self.0.errors(predicted)
-    }
-
-    /// Fits a decoder to the records outside `fold` (`folds` has the fold of each record) and decodes those inside. A network has
-    /// number `number` and trains for `iterations`.
-    ///
-    /// # Panics
-    /// If no record is inside, or none outside.
-    pub fn decode_fold(
-        &self,
-        folds: &[usize],
-        fold: usize,
-        recipe: Recipe,
-        number: u64,
-        iterations: usize,
-        pool: &crate::Pool,
-    ) -> HeldOutEstimates {
-        let (inside, outside): (Vec<usize>, Vec<usize>) =
-            (0..self.0.count()).partition(|&i| folds[i] == fold);
-        let [unseen, known] = [inside, outside].map(|records| self.0.select(&records));
-        HeldOutEstimates::fit_and_decode(&known, &unseen, recipe, number, iterations, pool)
-    }
-
-    /// Decodes all records with a decoder fitted to samples of another body, such as a twin.
-    pub fn decode_all(
-        &self,
-        known: &Samples,
-        recipe: Recipe,
-        number: u64,
-        iterations: usize,
-        pool: &crate::Pool,
-    ) -> HeldOutEstimates {
-        HeldOutEstimates::fit_and_decode(known, &self.0, recipe, number, iterations, pool)
-    }
+/// Samples from one body's signals (N, T, 3M) at T instants under forces. `low_pass`: targets pass a low-pass to T instants.
+///
+/// # Panics
+/// If the signals are not a whole number of channels.
+pub fn records(forces: &Forces, signals: Vec<f64>, instants: usize, low_pass: bool) -> Samples {
+    let (readings, outputs) = (forces.samples * instants, forces.panels);
+    assert!(signals.len().is_multiple_of(readings), "signals of {} samples", forces.samples);
+    let sizes = Sizes { instants, channels: signals.len() / readings, outputs };
+    Samples::new(sizes, signals, targets(forces, instants, low_pass))
 }
 
 impl HeldOutEstimates {
-    fn fit_and_decode(
+    /// Fits a decoder to the known records, or to samples of another body, such as a twin, and decodes the unseen ones. A network
+    /// has number `number` and trains for `iterations`.
+    ///
+    /// # Panics
+    /// If no record is known, or none unseen.
+    pub fn of(
         known: &Samples,
         unseen: &Samples,
         recipe: Recipe,

@@ -376,7 +376,7 @@ impl Learner for TaskLearner<'_> {
         let readout = labelled.fit()?;
         let loss = readout.loss();
         self.fitted = Some((labelled, readout));
-        Ok(FitResult { loss, error: Some(100.0 * loss) })
+        Ok(FitResult { loss, error: Some(100.0 * loss), ridge: None })
     }
 
     /// That of the samples of the last fit.

@@ -351,14 +351,7 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
 /// Whether two segments have a common point.
 fn segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool {
     let side = |p: Point, q: Point, r: Point| {
-        let turn = cross(minus(q, p), minus(r, p));
-        if turn > 0.0 {
-            1
-        } else if turn < 0.0 {
-            -1
-        } else {
-            0
-        }
+        cross(minus(q, p), minus(r, p)).partial_cmp(&0.0).map_or(0, |order| order as i32)
     };
     let within =
         |p: Point, q: Point, r: Point| (0..2).all(|c| r[c] >= p[c].min(q[c]) && r[c] <= p[c].max(q[c]));

@@ -87,18 +87,10 @@ impl LinearLimits {
         below.retain(|(_, right)| right.is_finite());
         let cones = [ZeroConeT(equal.len()), NonnegativeConeT(below.len())];
         let rows: Vec<_> = equal.into_iter().chain(below).collect();
-        let mut columns = vec![Vec::new(); target.len()];
-        for (r, (terms, _)) in rows.iter().enumerate() {
-            terms.iter().for_each(|(i, a)| columns[*i].push((r, *a)));
-        }
         let n = target.len();
-        let starts = std::iter::once(0).chain(columns.iter().scan(0, |sum, column| {
-            *sum += column.len();
-            Some(*sum)
-        }));
-        let starts = starts.collect();
-        let (places, values) = columns.into_iter().flatten().unzip();
-        let matrix = CscMatrix::new(rows.len(), n, starts, places, values);
+        let terms = rows.iter().enumerate().flat_map(|(r, (of, _))| of.iter().map(move |(i, a)| (r, *i, *a)));
+        let (places, columns, values) = terms.collect();
+        let matrix = CscMatrix::new_from_triplets(rows.len(), n, places, columns, values);
         let quadratic = CscMatrix::new(n, n, (0..=n).collect(), (0..n).collect(), weights.to_vec());
         let right: Vec<f64> = rows.iter().map(|(_, right)| *right).collect();
         let mut solver =

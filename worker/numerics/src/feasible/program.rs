@@ -25,8 +25,6 @@ pub(super) struct ProgramInput<'a> {
     pub proximal: f64,
     /// ρ; `None`: every row is hard.
     pub penalty: Option<f64>,
-    /// ε (mm).
-    pub margin: f64,
 }
 
 /// The solution of a program.
@@ -55,6 +53,8 @@ struct Warm {
     solver: DefaultSolver<f64>,
 }
 
+/// Margin ε of all constraints (mm), so that rounding does not fail the exact check.
+pub(super) const MARGIN: f64 = 1e-6;
 /// Largest number of corrections of a guess of the active rows.
 const ROUNDS: usize = 4;
 /// Tolerance of multipliers and rows in a guess (mm, at mean weight 1).
@@ -86,9 +86,7 @@ impl Program {
                 .collect();
             let mut agrees = next.len() == chosen.len();
             for row in &all {
-                if row.value_after(&solved.step) < ask.margin - AGREE
-                    && active.binary_search(&row.key).is_err()
-                {
+                if row.value_after(&solved.step) < MARGIN - AGREE && active.binary_search(&row.key).is_err() {
                     next.push(row.key);
                     agrees = false;
                 }
@@ -131,7 +129,7 @@ impl Program {
         for (i, &g) in groups.iter().enumerate() {
             local[g] = i;
         }
-        let slack: Vec<bool> = rows.iter().map(|r| ask.penalty.is_some() && r.value < ask.margin).collect();
+        let slack: Vec<bool> = rows.iter().map(|r| ask.penalty.is_some() && r.value < MARGIN).collect();
         let elastic: Vec<usize> = (0..rows.len()).filter(|&i| slack[i]).collect();
         let (free, n) = (2 * groups.len(), 2 * groups.len() + elastic.len());
         let m = rows.len() + elastic.len();
@@ -168,7 +166,7 @@ impl Program {
             put(free + k, i, -1.0);
             put(free + k, rows.len() + k, -1.0);
         }
-        let mut right: Vec<f64> = rows.iter().map(|r| r.value - ask.margin).collect();
+        let mut right: Vec<f64> = rows.iter().map(|r| r.value - MARGIN).collect();
         right.resize(m, 0.0);
         let coordinate = |i: usize| 2 * groups[i / 2] + i % 2;
         let weight = |i: usize| members[groups[i / 2]] * ask.weights[coordinate(i)];

@@ -8,7 +8,7 @@
 //!
 //! A result is returned only if the exact check (`exact.rs`) accepts it, otherwise the previous design.
 
-use super::program::{ProgramInput, Step};
+use super::program::{MARGIN, ProgramInput, Step};
 use super::rows::{Key, Row, RowKind};
 use super::{Feasible, Kind};
 use crate::body::End;
@@ -91,8 +91,6 @@ pub struct Projection {
     pub programs: u64,
 }
 
-/// Margin ε of all constraints (mm), so that rounding does not fail the exact check.
-const MARGIN: f64 = 1e-6;
 /// Rows of a sequence: those closer to their limit than this (mm).
 const WINDOW: f64 = 0.3;
 /// Least weight, relative to the mean: v̂ is zero where nothing depends on a shift.
@@ -175,21 +173,14 @@ impl Feasible {
         let mut best = self.sequence(&aim, target.clone());
         let near = |x: &Vec<f64>| x.iter().zip(&target).all(|(x, t)| (x - t).abs() <= FAR);
         if !best.as_ref().is_some_and(near) {
-            let mut starts = Vec::new();
-            let start_is_good = self.violations(previous).is_empty();
-            if start_is_good {
-                starts.push((Stage::Path, previous.to_vec()));
-            }
-            if !start_is_good {
-                starts.push((Stage::Repair, target.clone()));
-            }
-            for (name, start) in starts {
-                let found = self.path(&aim, start);
-                if let Some(x) = found
-                    && best.as_ref().is_none_or(|b| aim.cost(&x) < aim.cost(b))
-                {
-                    (best, stage) = (Some(x), name);
-                }
+            let (name, start) = match self.violations(previous).is_empty() {
+                true => (Stage::Path, previous.to_vec()),
+                false => (Stage::Repair, target.clone()),
+            };
+            if let Some(x) = self.path(&aim, start)
+                && best.as_ref().is_none_or(|b| aim.cost(&x) < aim.cost(b))
+            {
+                (best, stage) = (Some(x), name);
             }
         }
         if stage != Stage::Sequence {
@@ -215,7 +206,6 @@ impl Feasible {
                 leader: self.leader.as_deref(),
                 proximal: 0.0,
                 penalty: None,
-                margin: MARGIN,
             };
             let solved = match &guess {
                 Some(active) => self.program.solve_from(&rows, &ask, active),
@@ -311,7 +301,6 @@ impl Feasible {
                 leader: self.leader.as_deref(),
                 proximal,
                 penalty: Some(PENALTY),
-                margin: MARGIN,
             };
             let Some(Step { step, .. }) = self.program.solve(&rows, &ask) else {
                 proximal = 4.0 * proximal.max(0.25);
@@ -350,10 +339,9 @@ impl Feasible {
     }
 
     fn build_projection(&self, design: Vec<f64>, target: &[f64], status: Status, stage: Stage) -> Projection {
-        let wish: Vec<f64> = design.iter().zip(target).map(|(x, t)| x - t).collect();
         Projection {
             active: self.active(&design),
-            distance: squares(&wish).sqrt(),
+            distance: distance(&design, target),
             design,
             status,
             stage,

@@ -11,6 +11,7 @@
 use super::descent::covariance;
 use super::discrepancy::explained;
 use super::objective::{Columns, Objective, Point};
+use super::unknowns::TRUST;
 use super::{BOX, Fit};
 use crate::student::student;
 use nalgebra::DMatrix;
@@ -65,8 +66,7 @@ pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &
     if free == 0 {
         return;
     }
-    fit.undetermined =
-        undetermined(&inverse.view((0, 0), (free, free)).into_owned(), objective.unknowns.log());
+    fit.undetermined = undetermined(&inverse.view((0, 0), (free, free)).into_owned());
     let undetermined = &fit.undetermined;
     let unknown = |k: usize| undetermined.iter().map(|d| d.exponents[k].powi(2)).sum::<f64>() > SHARE;
     for (k, estimate) in fit.estimates[..free].iter_mut().enumerate() {
@@ -82,13 +82,13 @@ pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &
     fit.correlation = (0..free).map(|i| (0..free).map(|j| correlation(i, j)).collect()).collect();
 }
 
-/// Undetermined directions of free parameters, from their posterior covariance in units of `log`.
-fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
+/// Undetermined directions of free parameters, from their posterior covariance in units of `TRUST`.
+fn undetermined(inverse: &DMatrix<f64>) -> Vec<Direction> {
     let eigen = information(inverse).symmetric_eigen();
     let largest = eigen.eigenvalues.max();
     let mut undetermined = Vec::new();
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {
-        let factor = (NORMAL * log / value.max(0.0).sqrt()).exp();
+        let factor = (NORMAL * TRUST / value.max(0.0).sqrt()).exp();
         if factor < KNOWN && value > ROUNDED * largest {
             continue;
         }

@@ -251,10 +251,6 @@ impl Fit {
         let problem = &trial.problem;
         let objective =
             Objective::new(problem, trial.chip.as_ref(), design, all, unknowns, solver, trial.pool);
-        Self::of_cast(objective, go_on)
-    }
-
-    fn of_cast(objective: Objective<'_>, go_on: &mut GoOn) -> Option<Self> {
         let mut fit = Self::begun(&objective.unknowns);
         let watch: &mut dyn FnMut(&Turn) = &mut |_| ();
         let mut descent = Descent::new(objective, go_on, &[], watch);

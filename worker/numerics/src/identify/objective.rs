@@ -48,7 +48,7 @@ pub struct Objective<'a> {
     design: &'a [f64],
     pool: &'a crate::Pool,
     /// Set if the records' clocks are uncertain.
-    clock: Option<Clock>,
+    pub clock: Option<Clock>,
     pub unknowns: Unknowns,
     /// Number of unknowns, from the first, that are fitted.
     pub moves: usize,
@@ -356,11 +356,6 @@ impl<'a> Objective<'a> {
         let changed = changed.fold(0.0, f64::max);
         self.readings.noise = noise;
         changed
-    }
-
-    /// Whether clocks are uncertain.
-    pub fn has_clocks(&self) -> bool {
-        self.clock.is_some()
     }
 
     /// Whether records are measured.

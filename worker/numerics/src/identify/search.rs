@@ -3,6 +3,7 @@
 
 use super::descent::{Descent, How};
 use super::objective::{Columns, Point};
+use super::unknowns::TRUST;
 use super::{Ending, Fit, Parameter, UNEXPLAINED, Unknown, interval};
 use crate::dynamics::{Forces, Solver};
 use nalgebra::DVector;
@@ -130,7 +131,7 @@ impl Descent<'_> {
     }
 
     fn lost(&self) -> f64 {
-        if self.objective.has_clocks() { LOST_BY_CLOCKS } else { LOST }
+        if self.objective.clock.is_some() { LOST_BY_CLOCKS } else { LOST }
     }
 
     fn size(&self, point: &Point) -> f64 {
@@ -144,7 +145,6 @@ impl Descent<'_> {
         let unknowns = self.objective.unknowns.all();
         let places = [Parameter::Stretch, Parameter::Shear, Parameter::Bend, Parameter::Density]
             .map(|parameter| unknowns.iter().position(|of| *of == Unknown::Material(parameter)));
-        let log = self.objective.unknowns.log();
         let mut others = Vec::new();
         for n in 1..81usize {
             let scales = [n / 27, n / 9 % 3, n / 3 % 3, n % 3].map(|k| SCALES[k]);
@@ -154,7 +154,7 @@ impl Descent<'_> {
             let mut there = start.clone();
             places.iter().zip(scales).for_each(|(place, scale)| {
                 if let Some(k) = place {
-                    there[*k] += scale.ln() / log;
+                    there[*k] += scale.ln() / TRUST;
                 }
             });
             if let Some(point) = self.objective.at(there.clone()) {

@@ -35,7 +35,7 @@ impl Unknown {
 }
 
 /// ln 10: prior standard deviation of the logarithm of a free parameter.
-const TRUST: f64 = std::f64::consts::LN_10;
+pub const TRUST: f64 = std::f64::consts::LN_10;
 /// Longest step of an unknown (standard deviations), and of a free parameter's logarithm.
 pub const STRIDE: f64 = 2.0;
 const FREE_STRIDE: f64 = std::f64::consts::LN_2;
@@ -104,11 +104,6 @@ impl Unknowns {
     /// Number of free parameters; they come first.
     pub fn free(&self) -> usize {
         self.free
-    }
-
-    /// Prior standard deviation of a free parameter's logarithm.
-    pub fn log(&self) -> f64 {
-        TRUST
     }
 
     /// Largest |z| of unknown `k`.

@@ -27,6 +27,12 @@ pub struct NetworkEvaluation {
 }
 
 impl NetworkEvaluation {
+    /// From the mean error on the training set and the errors of the test and held-out samples.
+    pub(super) fn of(error_train: Option<f64>, test: &[Option<f64>], holdout: &[Option<f64>]) -> Self {
+        let (error_test, error_holdout) = (mean_error(test), mean_error(holdout));
+        Self { error_train, error_test, error_holdout, spread: Spread::of(holdout), ..Self::default() }
+    }
+
     /// Result of a decoder that could not be fitted.
     pub(super) fn failed(trouble: Trouble) -> Self {
         Self { trouble: Some(trouble), ..Self::default() }
@@ -144,17 +150,9 @@ impl CastDecoder {
 
     /// The decoder with this database name and number of records.
     pub fn named(name: &str, records: u32) -> Option<Self> {
-        Some(match name {
-            "network" => Self::Network,
-            "network_casts" => Self::NetworkCasts,
-            "nominal" => Self::Nominal,
-            "casts" => Self::Casts,
-            "records" => Self::Records(records),
-            "inverse" => Self::Inverse,
-            "twin_linear" => Self::TwinLinear(records),
-            "twin" => Self::Twin(records),
-            _ => return None,
-        })
+        let alone = [Self::Network, Self::NetworkCasts, Self::Nominal, Self::Casts, Self::Inverse];
+        let of_records = [Self::Records(records), Self::TwinLinear(records), Self::Twin(records)];
+        alone.into_iter().chain(of_records).find(|by| by.name() == name)
     }
 }
 

@@ -11,8 +11,7 @@ use crate::brains::{
 };
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Spread, Trial, Trouble, as_ref_result,
-    mean_error,
+    BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Trial, Trouble, as_ref_result, mean_error,
 };
 use crate::variation::Casts;
 
@@ -91,16 +90,8 @@ pub(super) fn evaluate(
     }
     if !problem.tasks.trained.is_empty() {
         let found = log.timed(|s| &mut s.train, |_| task_errors(trial, as_ref_result(&sets)?));
-        let evaluation = found.map_or_else(NetworkEvaluation::failed, |errors| {
-            let [error_train, error_test, error_holdout] = errors.each_ref().map(|set| mean_error(set));
-            let spread = Spread::of(&errors[2]);
-            NetworkEvaluation {
-                error_train,
-                error_test,
-                error_holdout,
-                spread,
-                ..NetworkEvaluation::default()
-            }
+        let evaluation = found.map_or_else(NetworkEvaluation::failed, |[train, test, holdout]| {
+            NetworkEvaluation::of(mean_error(&train), &test, &holdout)
         });
         state.comparison.bodies[turn].networks.push(evaluation);
         return log.report_progress(problem, state);
@@ -225,9 +216,9 @@ pub(super) fn fit_and_evaluate(
     if let (Err(trouble), None) = (outcome, reader.training()) {
         return Some(NetworkEvaluation::failed(trouble));
     }
-    let (error_train, error_test) = (reader.error_known(), mean_error(&reader.errors(&sets[1])));
-    let holdout_errors = reader.errors(&sets[2]);
-    let (error_holdout, spread) = (mean_error(&holdout_errors), Spread::of(&holdout_errors));
+    let error_train = reader.error_known();
+    let [test, holdout] = [1, 2].map(|set| reader.errors(&sets[set]));
+    let evaluation = NetworkEvaluation::of(error_train, &test, &holdout);
     let stores_weights = number == 0 && !is_long;
     let weights = if stores_weights { reader.weights_at(&trial.network_scales) } else { Vec::new() };
     if stores_weights && let Some(calibration) = calibration {
@@ -248,14 +239,5 @@ pub(super) fn fit_and_evaluate(
     let errors = reader.training().and_then(Option::take).map(|fresh| fresh.errors).unwrap_or_default();
     log.report.counters.brain_iterations += losses.len() as u64;
     let trouble = outcome.err();
-    Some(NetworkEvaluation {
-        error_train,
-        error_test,
-        error_holdout,
-        spread,
-        losses,
-        errors,
-        weights,
-        trouble,
-    })
+    Some(NetworkEvaluation { losses, errors, weights, trouble, ..evaluation })
 }

@@ -5,7 +5,7 @@ use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, Z_95};
 use crate::identify::{Fit, GoOn};
-use crate::trial::{Counters, DesignWithSolver, Samples, Spread, Trouble, as_ref_result, mean_error};
+use crate::trial::{Counters, DesignWithSolver, Samples, Trouble, as_ref_result};
 
 /// Numbers of records on which twins are calibrated.
 const RECORDS: [u32; 2] = [10, 30];
@@ -30,13 +30,10 @@ pub(super) fn evaluate_inverse(
             Ok(brain) => brain,
             Err(trouble) => return Some(Err(trouble)),
         };
-        let error_test = test.error(&forces(&brain.read_while(&test.signals, go_on)?));
+        let test = test.errors(&forces(&brain.read_while(&test.signals, go_on)?));
         let found = brain.read_while(&holdout.signals, go_on)?;
         counters.dynamics += brain.counters.dynamics;
-        let errors = holdout.errors(&forces(&found));
-        let (error_holdout, spread) = (mean_error(&errors), Spread::of(&errors));
-        let evaluation =
-            NetworkEvaluation { error_test, error_holdout, spread, ..NetworkEvaluation::default() };
+        let evaluation = NetworkEvaluation::of(None, &test, &holdout.errors(&forces(&found)));
         Some(Ok((evaluation, band(&found, holdout, None))))
     };
     let done = state.comparison.completed_fraction(0, &trial.problem);

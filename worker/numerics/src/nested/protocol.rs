@@ -8,6 +8,8 @@
 //! ```
 //! `joint` never uses a sample of a step again, which prevents over-fitting.
 
+use std::cell::RefCell;
+
 use super::observe::Log;
 use super::state::{PastDesign, State};
 use crate::brain::TrainOutcome;
@@ -15,8 +17,8 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
 use crate::random::Purpose;
 use crate::trial::{
-    CastObjective, Counters, FAILED, ObjectiveDomain, Protocol, Response, Samples, StepTraining, Terms,
-    Trial, Trouble,
+    BrainKind, CastObjective, Counters, FAILED, ObjectiveDomain, Protocol, Response, Samples, StepTraining,
+    Terms, Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -155,7 +157,7 @@ impl<'a> Session<'a> {
         sum(&self.vjps(newest, &cotangents, log)?)
     }
 
-    /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
+    /// Error (%) and differentiated loss of each part of a mixture on the initial body, with one decoder fitted to the first step's
     /// samples; reproducible after a resumption. 1 for a mean of logarithms, whose derivative does not depend on them.
     fn initial_losses(
         &mut self,
@@ -169,12 +171,19 @@ impl<'a> Session<'a> {
                 let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
                 let mut learner = learner(trial);
                 let parts = self.simulate_fresh(&trial.problem.initial, 0, going, false, log)?;
-                for (number, part) in parts.iter().map(|part| &part.samples).enumerate() {
-                    let mut learnt = State::new(&trial.problem).decoder_state;
-                    let counters = &mut log.report.counters;
-                    learner.fit(FitOn::Recent(&[part], 1), 0, &mut learnt, counters)?;
-                    let error = learner.error(part).unwrap_or(1.0);
-                    let (loss, _) = learner.loss_vjp(part, Loss::Training);
+                let samples: Vec<&Samples> = parts.iter().map(|part| &part.samples).collect();
+                let mut learnt = State::new(&trial.problem).decoder_state;
+                let on = FitOn::Recent(&[&joined(&parts)], parts.len());
+                learner.fit(on, 0, &mut learnt, &mut log.report.counters)?;
+                let losses = RefCell::new(Vec::new());
+                learner.casts_vjp(&samples, &|found| {
+                    losses.replace(found.to_vec());
+                    vec![0.0; found.len()]
+                });
+                for (number, (part, loss)) in samples.iter().zip(losses.into_inner()).enumerate() {
+                    // a linear decoder's loss is its cross-validated error
+                    let linear = loss.filter(|_| trial.problem.optimise.brain == BrainKind::Linear);
+                    let error = linear.or_else(|| learner.error(part)).unwrap_or(1.0);
                     (self.first[0][number], self.first[1][number]) = (error, loss.unwrap_or(error));
                 }
                 (log.report.counters, log.report.fresh_samples) = counted;
@@ -239,9 +248,9 @@ impl<'a> Session<'a> {
         let learned =
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
         (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
-        log.report.ridge = learnt.ridge;
-        // losses at different λ are not comparable; in `Recent`, λ changes little per step
-        if learnt.ridge != ridge && !matches!(on, FitOn::Recent(..)) {
+        log.report.ridge = learned.ridge;
+        // losses at different λ are not comparable
+        if learned.ridge != ridge {
             *trend = None;
         }
         Ok(learned.loss)

@@ -141,9 +141,8 @@ impl<'a> Scores<'a> {
         spacing: f64,
         ridge: f64,
     ) -> Vec<(usize, f64)> {
-        let sets =
-            self.allowed_units(candidates, chosen, spacing).into_iter().map(|unit| with_unit(chosen, unit));
-        let rated = self.rated(sets.collect(), ridge);
+        let allowed = self.allowed_units(candidates, chosen, spacing).into_iter();
+        let rated = self.rated(allowed.map(|unit| [chosen, &[unit]].concat()).collect(), ridge);
         rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
     }
 
@@ -217,7 +216,7 @@ impl<'a> Scores<'a> {
             let gone = rest.remove(i);
             let others =
                 self.allowed_units(candidates, &rest, *spacing).into_iter().filter(|&unit| unit != gone);
-            sets.extend(others.map(|unit| with_unit(&rest, unit)));
+            sets.extend(others.map(|unit| [&rest[..], &[unit]].concat()));
         }
         if chosen.len() == 2 && kept == 0 {
             let pairs = candidates.iter().enumerate().flat_map(|(i, &a)| {
@@ -256,12 +255,6 @@ fn with_energies(x: &[f64], each: usize, units: usize) -> Vec<f64> {
         }
     }
     out
-}
-
-fn with_unit(chosen: &[usize], unit: usize) -> Vec<usize> {
-    let mut set = chosen.to_vec();
-    set.push(unit);
-    set
 }
 
 #[cfg(test)]

@@ -43,9 +43,7 @@ impl Disturbance {
         // tolerates rounding errors
         CLOCK.max((BESIDE_BANDWIDTH * low_pass * interval - 1e-9).ceil() as usize)
     }
-}
 
-impl Disturbance {
     /// Applies the low-pass, if any, in place to signals (N, instants, width); `step`: interval between instants (s).
     pub fn low_pass(&self, signals: &mut [f64], samples: usize, width: usize, step: f64) {
         self.each(signals, samples, width, step, LowPass::run);
@@ -66,9 +64,7 @@ impl Disturbance {
     ) {
         if self.bandwidth.is_finite() {
             let (low_pass, one) = (LowPass::new(TAU * self.bandwidth * step), of.len() / samples.max(1));
-            for sample in of.chunks_exact_mut(one.max(1)) {
-                (0..width).for_each(|c| run(&low_pass, &mut sample[c..], width));
-            }
+            of.chunks_exact_mut(one.max(1)).for_each(|sample| run(&low_pass, sample, width));
         }
     }
 
@@ -97,27 +93,31 @@ impl LowPass {
         Self { e, g: [[whole[0] - late[0], whole[1] - late[1]], late] }
     }
 
-    /// Applies the low-pass in place to every `width`-th value.
-    fn run(&self, values: &mut [f64], width: usize) {
+    /// Applies the low-pass in place to the signals (instants, width) of a sample.
+    fn run(&self, sample: &mut [f64], width: usize) {
         let Self { e, g } = self;
-        let (mut z, mut before) = ([0.0; 2], 0.0);
-        for value in values.iter_mut().step_by(width) {
-            let now = *value;
-            let step = |i: usize| e[i][0] * z[0] + e[i][1] * z[1] + g[0][i] * before + g[1][i] * now;
-            (z, before) = ([step(0), step(1)], now);
-            *value = z[0];
+        for channel in 0..width {
+            let (mut z, mut before) = ([0.0; 2], 0.0);
+            for value in sample[channel..].iter_mut().step_by(width) {
+                let now = *value;
+                let step = |i: usize| e[i][0] * z[0] + e[i][1] * z[1] + g[0][i] * before + g[1][i] * now;
+                (z, before) = ([step(0), step(1)], now);
+                *value = z[0];
+            }
         }
     }
 
-    /// Transpose of [`Self::run`]: turns a cotangent on y into one on the values.
+    /// Transpose of [`Self::run`]: turns a cotangent on y into one on the signals.
     fn run_vjp(&self, cotangent: &mut [f64], width: usize) {
         let Self { e, g } = self;
-        let mut later = [0.0; 2];
-        for value in cotangent.iter_mut().step_by(width).rev() {
-            let back = |i: usize| e[0][i] * later[0] + e[1][i] * later[1];
-            let here = [*value + back(0), back(1)];
-            *value = g[1][0] * here[0] + g[1][1] * here[1] + g[0][0] * later[0] + g[0][1] * later[1];
-            later = here;
+        for channel in 0..width {
+            let mut later = [0.0; 2];
+            for value in cotangent[channel..].iter_mut().step_by(width).rev() {
+                let back = |i: usize| e[0][i] * later[0] + e[1][i] * later[1];
+                let here = [*value + back(0), back(1)];
+                *value = g[1][0] * here[0] + g[1][1] * here[1] + g[0][0] * later[0] + g[0][1] * later[1];
+                later = here;
+            }
         }
     }
 }
@@ -147,7 +147,7 @@ impl Filter {
         let mut read = Vec::with_capacity(signals.len() / self.clock);
         for sample in signals.chunks_exact_mut(one.max(1)) {
             if let Some(low_pass) = &self.low_pass {
-                (0..width).for_each(|c| low_pass.run(&mut sample[c..], width));
+                low_pass.run(sample, width);
             }
             for (at, c) in self.readings(one, width) {
                 let tapped = self.tapped(at).map(|(tap, at)| tap * sample[at * width + c]);
@@ -167,7 +167,7 @@ impl Filter {
                 self.tapped(at).for_each(|(tap, at)| sample[at * width + c] += tap * bar);
             }
             if let Some(low_pass) = &self.low_pass {
-                (0..width).for_each(|c| low_pass.run_vjp(&mut sample[c..], width));
+                low_pass.run_vjp(sample, width);
             }
         }
         signals

@@ -210,8 +210,7 @@ impl NullaryFnOnce for LaggedPairs<'_> {
     fn call(self) -> Vec<f64> {
         let Self { products, instants, lags, groups } = self;
         let (Lags { before, after }, count, last) = (lags, lags.count(), instants - 1);
-        let group_of: Vec<usize> =
-            groups.iter().enumerate().flat_map(|(b, lags)| lags.clone().map(move |_| b)).collect();
+        let group_of = |lag: usize| groups.partition_point(|group| group.end <= lag);
         let mut sums = vec![0.0; groups.len() * count];
         // sums of whole diagonals by m − l
         let reach = before + after;
@@ -226,7 +225,7 @@ impl NullaryFnOnce for LaggedPairs<'_> {
                 whole[reach - s] = row[0];
             }
             if (1..=after).contains(&s) {
-                accumulate(&mut sums[group_of[before + s] * count..][before + 1..count], &row[1..], 1.0);
+                accumulate(&mut sums[group_of(before + s) * count..][before + 1..count], &row[1..], 1.0);
             }
         }
         let length = instants.min(reach + 1);
@@ -239,14 +238,14 @@ impl NullaryFnOnce for LaggedPairs<'_> {
             row[0] = 0.0;
             accumulate(&mut row[..instants], &products[s * instants..], 1.0);
             if let Some(l) = (s + before).checked_sub(last) {
-                accumulate(&mut sums[group_of[l] * count..][..before], &row[last - before..], 1.0);
+                accumulate(&mut sums[group_of(l) * count..][..before], &row[last - before..], 1.0);
             }
         }
 
-        for (l, group) in group_of.into_iter().enumerate() {
+        for l in 0..count {
             let first = if l < before { before } else { 0 };
             let end = if l > before { before + 1 } else { count };
-            accumulate(&mut sums[group * count..][first..end], &whole[reach + first - l..], 1.0);
+            accumulate(&mut sums[group_of(l) * count..][first..end], &whole[reach + first - l..], 1.0);
         }
         let mut pairs = Vec::with_capacity(groups.len() * groups.len());
         for sums in sums.chunks_exact(count) {

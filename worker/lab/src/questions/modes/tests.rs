@@ -2,7 +2,7 @@ use super::*;
 use crate::small::{GOING, on_lattices};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Forces, Frame, Method, Panel, PartFactors, Plan, PrescribedMotion, Stiffness, highest_frequency, run,
+    Forces, Frame, Method, Panel, Plan, PrescribedMotion, Stiffness, highest_frequency, run,
 };
 use metasense_numerics::trial::Protocol;
 use nalgebra::DMatrix;
@@ -14,23 +14,13 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         layout,
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: PartFactors::default(),
-        relaxation: None,
         damping_ratio: 0.02,
-        damping: None,
-        inertia: None,
-        contact: None,
-        linearised: false,
         clamped,
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: vec![Panel::central(top, [0.6, -0.8]), Panel::central(top - 2, [0.0, -1.0])],
         sensors: vec![4, top],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
         duration: 0.1,
         instants: 20,
+        ..Scene::default()
     }
 }
 

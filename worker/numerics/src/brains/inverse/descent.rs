@@ -84,7 +84,7 @@ impl Noise {
 #[derive(Debug, Clone)]
 pub(super) struct Point {
     /// z, then b/σ_b.
-    z: Vec<f64>,
+    pub(super) z: Vec<f64>,
     /// Φ; infinite if the simulation failed.
     pub(super) phi: f64,
     residual: Vec<f64>,
@@ -94,7 +94,7 @@ pub(super) struct Point {
 /// Descent of one sample.
 #[derive(Debug, Clone)]
 pub(super) struct Descent {
-    at: Point,
+    pub(super) at: Point,
     /// B; `None` until it is computed.
     curvature: Option<Mat<f64>>,
     /// Steps since B was 1 + JᵀJ.
@@ -102,7 +102,7 @@ pub(super) struct Descent {
     /// Number of further readings for which J is wanted, and J for the available ones.
     further_readings: (usize, Mat<f64>),
     damping: f64,
-    steps: usize,
+    pub(super) steps: usize,
     ending: Option<Ending>,
 }
 
@@ -167,7 +167,7 @@ pub(super) fn descend(
             descents.iter_mut().for_each(|descent| evaluator.curve(descent));
             let next_point = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
             let proposals: Vec<(usize, Vec<f64>)> =
-                model.pool().install(|| descents.par_iter_mut().enumerate().filter_map(next_point).collect());
+                model.pool.install(|| descents.par_iter_mut().enumerate().filter_map(next_point).collect());
             if proposals.is_empty() {
                 break;
             }
@@ -218,7 +218,7 @@ impl Evaluator<'_> {
             .collect();
         let pushed = model.signals_vjp(&found, cotangent, self.counters);
         let one = pushed.len() / at.len();
-        let finer = (one / histories.panels - 1) / (model.instants_of(&histories, *n));
+        let finer = (one / histories.panels - 1) / (*n * histories.kinks(&model.scene));
         let pushed = pushed.chunks_exact(one);
         let points = at.into_iter().zip(residuals).zip(biases).zip(pushed).zip(&found.outcomes);
         points
@@ -241,7 +241,7 @@ impl Evaluator<'_> {
         let (unknowns, c) = (prior.unknowns(), noise.channels());
         let (len, all) = (descent.at.residual.len(), descent.at.z.len());
         let (histories, steps) = prior.around(&descent.at.z);
-        let farther = model.clamp_instants(*n + descent.further_readings.0 / c);
+        let farther = (*n + descent.further_readings.0 / c).min(model.scene.instants);
         let found = model.coarse(&histories, farther, self.counters);
         let one = farther * c;
         let jacobian = Mat::from_fn(one, all, |i, k| match k < unknowns {
@@ -271,15 +271,6 @@ impl Descent {
         }
     }
 
-    /// z, then b/σ_b.
-    pub(super) fn z(&self) -> &[f64] {
-        &self.at.z
-    }
-
-    pub(super) fn phi(&self) -> f64 {
-        self.at.phi
-    }
-
     /// −ln of the marginal likelihood of the readings, by Laplace's method: Φ + ½ ln |B|.
     pub(super) fn surprise(&self) -> f64 {
         self.at.phi + half_log(self.curvature().as_ref(), LEAST)
@@ -289,10 +280,6 @@ impl Descent {
     pub(super) fn curvature(&self) -> Mat<f64> {
         let all = self.at.z.len();
         self.curvature.clone().unwrap_or_else(|| Mat::identity(all, all))
-    }
-
-    pub(super) fn steps(&self) -> usize {
-        self.steps
     }
 
     pub(super) fn ending(&self) -> Ending {

@@ -85,6 +85,16 @@ struct Hypothesis {
     directions_of_targets: Mat<f64>,
 }
 
+impl Hypothesis {
+    fn of(problem: &Problem, prior: Prior, share: f64) -> Self {
+        let (directions, instants) = (prior.directions(), problem.scene.instants);
+        let estimates = problem.targets(&directions);
+        let directions_of_targets =
+            Mat::from_fn(instants, directions.samples, |n, k| estimates[k * instants + n]);
+        Self { prior, share, directions_of_targets }
+    }
+}
+
 impl<'a> Inverse<'a> {
     /// Inverse decoder of a design, simulated with the solver tuned on it, or of its twin. A linear decoder fitted to `known`,
     /// samples of that model, starts the descents. The prior comes from fresh forces of the trial, or from the training
@@ -164,7 +174,7 @@ impl<'a> Inverse<'a> {
             (0..readings.len()).filter(|&i| !found.iter().any(|found| found[i].is_explained())).collect();
         for guess in 0..self.guesses.len() {
             for (i, retried) in self.descend_by_windows(guess, &readings, &unexplained, go_on)? {
-                if retried.phi() < found[guess][i].phi() {
+                if retried.at.phi < found[guess][i].at.phi {
                     found[guess][i] = retried;
                 }
             }
@@ -184,7 +194,7 @@ impl<'a> Inverse<'a> {
         let begin = |forces: &[f64]| {
             let mut z = prior.estimate_unknowns(forces, self.linear_error);
             z.extend(self.noise.no_bias());
-            z
+            Start::at_point(z)
         };
         let starts = said.chunks_exact(said.len() / readings.len().max(1)).map(begin).collect();
         self.descend(guess, readings, self.trial.problem.scene.instants, starts, go_on)
@@ -211,17 +221,6 @@ impl<'a> Inverse<'a> {
     }
 
     fn descend(
-        &mut self,
-        guess: usize,
-        readings: &[&[f64]],
-        n: usize,
-        starts: Vec<Vec<f64>>,
-        go_on: &mut GoOn,
-    ) -> Option<Vec<Descent>> {
-        self.descend_from(guess, readings, n, starts.into_iter().map(Start::at_point).collect(), go_on)
-    }
-
-    fn descend_from(
         &mut self,
         guess: usize,
         readings: &[&[f64]],
@@ -253,7 +252,7 @@ impl<'a> Inverse<'a> {
         loop {
             let mut found = Vec::new();
             for (guess, starts) in starts.into_iter().enumerate() {
-                found.push(self.descend_from(guess, readings, n, starts, go_on)?);
+                found.push(self.descend(guess, readings, n, starts, go_on)?);
             }
             let to = if n == all { all } else { n - ahead - 1 + together };
             let here = self.likeliest(&found, from..to);
@@ -288,16 +287,17 @@ impl<'a> Inverse<'a> {
     ) -> Option<Vec<(usize, Descent)>> {
         let all = self.trial.problem.scene.instants;
         let start = self.start(&self.guesses[guess]);
-        let mut remaining_samples: Vec<(usize, Vec<f64>)> =
-            samples.iter().map(|&i| (i, start.clone())).collect();
+        let mut remaining_samples: Vec<(usize, Start)> =
+            samples.iter().map(|&i| (i, Start::at_point(start.clone()))).collect();
         let mut found = Vec::new();
         for part in WINDOWS {
             let n = ((part * all as f64) as usize).max(1);
-            let (which, starts): (Vec<usize>, Vec<Vec<f64>>) = remaining_samples.into_iter().unzip();
+            let (which, starts): (Vec<usize>, Vec<Start>) = remaining_samples.into_iter().unzip();
             let readings: Vec<&[f64]> = which.iter().map(|&i| readings[i]).collect();
             found = which.into_iter().zip(self.descend(guess, &readings, n, starts, go_on)?).collect();
             found.retain(|(_, descent): &(usize, Descent)| n == all || descent.is_explained());
-            remaining_samples = found.iter().map(|(i, descent)| (*i, descent.z().to_vec())).collect();
+            let again = |(i, descent): &(usize, Descent)| (*i, Start::at_point(descent.at.z.clone()));
+            remaining_samples = found.iter().map(again).collect();
         }
         Some(found)
     }
@@ -310,13 +310,13 @@ impl<'a> Inverse<'a> {
         of: Range<usize>,
     ) -> Estimate {
         let (panels, directions) = (self.trial.problem.scene.panels.len(), seen.ncols());
-        let forces = self.trial.problem.targets(&prior.forces([descent.z()].into_iter()));
+        let forces = self.trial.problem.targets(&prior.forces([&descent.at.z[..]].into_iter()));
         let forces = forces[of.start * panels..of.end * panels].to_vec();
         let (from, instants) = (of.start, of.len());
         let mut deviations = vec![0.0; instants * panels];
         // One column per instant, panel by panel, so that B is factored once.
         let struck = prior.struck();
-        let mut right = Mat::<f64>::zeros(descent.z().len(), struck.len() * instants);
+        let mut right = Mat::<f64>::zeros(descent.at.z.len(), struck.len() * instants);
         for i in 0..struck.len() {
             let mut own = right.as_mut().submatrix_mut(i * directions, i * instants, directions, instants);
             own.copy_from(seen.subrows(from, instants).transpose());
@@ -328,26 +328,14 @@ impl<'a> Inverse<'a> {
             let variance = right.transpose() * solved;
             deviations[i % instants * panels + struck[i / instants]] = variance.max(0.0).sqrt();
         }
-        let (misfit, steps, ending) = (descent.misfit(), descent.steps(), descent.ending());
+        let (misfit, steps, ending) = (descent.misfit(), descent.steps, descent.ending());
         Estimate { forces, deviations, misfit, steps, ending }
     }
 }
 
 /// One hypothesis per set of panels that these histories strike together.
 fn guesses(problem: &Problem, histories: &Forces) -> Vec<Hypothesis> {
-    let guess = |(prior, share)| Hypothesis {
-        directions_of_targets: target_directions(problem, &prior),
-        prior,
-        share,
-    };
-    Prior::of(histories).into_iter().map(guess).collect()
-}
-
-/// D of one panel, converted to decoder targets (T, r) (N).
-fn target_directions(problem: &Problem, prior: &Prior) -> Mat<f64> {
-    let (directions, instants) = (prior.directions(), problem.scene.instants);
-    let estimates = problem.targets(&directions);
-    Mat::from_fn(instants, directions.samples, |n, k| estimates[k * instants + n])
+    Prior::of(histories).into_iter().map(|(prior, share)| Hypothesis::of(problem, prior, share)).collect()
 }
 
 #[cfg(test)]

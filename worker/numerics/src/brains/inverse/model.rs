@@ -7,8 +7,8 @@ use crate::variation::{Cast, Chips};
 /// A model of a body.
 pub(super) struct Model<'a> {
     problem: &'a Problem,
-    pool: &'a crate::Pool,
-    scene: Scene,
+    pub(super) pool: &'a crate::Pool,
+    pub(super) scene: Scene,
     design: Vec<f64>,
     chips: Chips,
     /// Steps of simulations that are compared with readings.
@@ -37,21 +37,6 @@ impl<'a> Model<'a> {
             [solver.in_equal_steps(), coarse].map(|solver| planned(&moving, &design, &forces, &solver))
         };
         Self { problem, pool, scene, design, chips, plan: plan.double(), coarse: coarse.double() }
-    }
-
-    /// Number of force intervals in the first n instants.
-    pub(super) fn instants_of(&self, forces: &Forces, n: usize) -> usize {
-        n * forces.kinks(&self.scene)
-    }
-
-    /// n, limited to the length of a sample.
-    pub(super) fn clamp_instants(&self, n: usize) -> usize {
-        n.min(self.scene.instants)
-    }
-
-    /// Computing threads.
-    pub(super) fn pool(&self) -> &'a crate::Pool {
-        self.pool
     }
 
     /// Simulates up to instant n; returns signals (N, n, channels) without noise.

@@ -135,11 +135,7 @@ fn blows_are_read_on_the_panel_that_they_strike() {
         assert_eq!(own.guesses.iter().map(|guess| guess.prior.struck()).collect::<Vec<_>>(), [[0], [1]]);
         let prior =
             Prior::new(&problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN)).expect("forces that differ");
-        all.guesses = vec![Hypothesis {
-            directions_of_targets: target_directions(&problem, &prior),
-            prior,
-            share: 0.0,
-        }];
+        all.guesses = vec![Hypothesis::of(&problem, prior, 0.0)];
         let blows = problem.forces(Purpose::Holdout, 0, 8);
         let unseen = trial.samples(&problem.initial, None, blows).expect("samples");
         let found = own.read(&unseen.signals);

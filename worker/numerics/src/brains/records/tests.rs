@@ -20,14 +20,16 @@ fn a_fold_s_network_has_not_seen_its_records() {
     signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
     let pool = crate::Pool::new(1).unwrap();
     let architecture = Architecture::paper(64);
-    let records = Records::new(&forces, signals, instants, false);
+    let records = records(&forces, signals, instants, false);
     let dealt = folds(1, samples, 4);
     let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
     let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
     let (decoder, schedule) = (Decoder::whole(instants, 3), Schedule::Cosine);
-    let by = |kind, fold| {
+    let by = |kind, fold: usize| {
         let recipe = Recipe { kind, architecture, rate: 1e-2, schedule, batch: None, decoder, seed: 1 };
-        records.decode_fold(&dealt, fold, recipe, 0, 150, &pool)
+        let (unseen, known): (Vec<usize>, Vec<usize>) = (0..samples).partition(|&i| dealt[i] == fold);
+        let [unseen, known] = [unseen, known].map(|numbers| records.select(&numbers));
+        HeldOutEstimates::of(&known, &unseen, recipe, 0, 150, &pool)
     };
     let fold = |fold| by(BrainKind::Network, fold);
     let linear = |fold| by(BrainKind::Linear, fold);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::body::Pattern;
-use crate::dynamics::{Frame, PartFactors, Relaxation, Stiffness, simulate};
+use crate::dynamics::{Relaxation, Stiffness, simulate};
 use crate::stimuli::{self, Bell};
 
 fn pool(threads: usize) -> crate::Pool {
@@ -21,24 +21,14 @@ fn body(clamped: Vec<usize>, panels: Vec<(usize, [f64; 2])>, sensor: usize, layo
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: PartFactors::default(),
-        relaxation: None,
         damping_ratio: 0.03,
-        damping: None,
-        inertia: None,
-        contact: None,
-        linearised: false,
         clamped,
-        guided: Vec::new(),
-        imposed: Vec::new(),
         panels: panels.into_iter().map(|(unit, direction)| Panel::central(unit, direction)).collect(),
         sensors: vec![sensor],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
         duration: 0.3,
         instants: 60,
         layout,
+        ..Scene::default()
     }
 }
 

@@ -183,6 +183,9 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
         let trial = Trial::new(&problem, &pool).unwrap();
         let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
         let mut log = Log::new(0, &mut keeper);
+        // on the initial body, all parts of a mixture rank alike
+        let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
+        state.design.iter_mut().for_each(|x| *x += 0.02 * stream.normal());
         let gradient = Session::new(&trial).train_and_differentiate(&mut state, &mut log).unwrap().gradient;
         let weights: Vec<f64> = state.decoder_state.weights.iter().map(|w| f64::from(*w)).collect();
         let (shape, scales) = (problem.shape(), &trial.scales);
@@ -197,14 +200,12 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
             let (solver, counters) = (&problem.solver, &mut Counters::default());
             trial.simulate_cast(cast.as_ref(), design, forces, solver, false, counters).unwrap().samples
         };
-        let first: Vec<f64> = (0..casting.casts)
-            .map(|number| {
-                let (own, mut learner) = (samples(&problem.initial, number), learner(&trial));
-                let (on, mut learnt) = (FitOn::Recent(&[&own], 1), State::new(&problem).decoder_state);
-                learner.fit(on, 0, &mut learnt, &mut Counters::default()).unwrap();
-                learner.loss_vjp(&own, Loss::Training).0.unwrap()
-            })
-            .collect();
+        let own: Vec<Samples> = (0..casting.casts).map(|number| samples(&problem.initial, number)).collect();
+        let (all, mut learner) = (Samples::joined(&own.iter().collect::<Vec<_>>()), learner(&trial));
+        let (on, mut learnt) = (FitOn::Recent(&[&all], casting.casts), State::new(&problem).decoder_state);
+        learner.fit(on, 0, &mut learnt, &mut Counters::default()).unwrap();
+        let first: Vec<f64> =
+            own.iter().map(|own| learner.loss_vjp(own, Loss::Training).0.unwrap()).collect();
         let mut workspace = Workspace::<f64>::new(shape, pool.width());
         let mut objective = |design: &[f64]| {
             let losses: Vec<f64> = (0..casting.casts)
@@ -221,7 +222,7 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
             let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
             let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
             let [there, back] = [1e-6, -1e-6].map(|step| {
-                let moved = problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d);
+                let moved = state.design.iter().zip(&direction).map(|(a, d)| a + step * d);
                 objective(&moved.collect::<Vec<_>>())
             });
             let own = (there - back) / 2e-6;

@@ -33,7 +33,7 @@ fn errors(body: &BodyEvaluation) -> Vec<u64> {
     [own.error_train, own.error_test, own.error_holdout].into_iter().chain(readings).map(of).collect()
 }
 
-/// Resuming after each step, on another number of threads, gives the same bits.
+/// Resuming after each step, on another number of threads, gives the same bits. Steps report the λ of their fits.
 #[test]
 fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     for protocol in LINEAR {
@@ -53,6 +53,13 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
             assert_eq!(resumed.optimised.design, through.optimised.design, "{protocol:?}, {stop}");
             assert_eq!(timeless(&second.reports), timeless(&whole.reports[stop..]), "{protocol:?}, {stop}");
             assert_eq!(errors(&resumed.optimised), errors(&through.optimised), "{protocol:?}, {stop}");
+        }
+        if matches!(protocol, Protocol::Joint(_)) {
+            // a step reports the λ of its fit, its state has the next one
+            for (state, next) in whole.states.iter().zip(&whole.reports[1..]) {
+                assert_eq!(next.ridge, state.decoder_state.ridge);
+            }
+            assert_ne!(whole.reports[0].ridge, whole.reports[1].ridge);
         }
         assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
     }

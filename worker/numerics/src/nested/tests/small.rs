@@ -4,9 +4,7 @@ use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::brain::Architecture;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brains::Tasks;
-use metasense_numerics::dynamics::{
-    Accuracy, Forces, Frame, Method, Panel, PartFactors, Scene, Solver, Stiffness,
-};
+use metasense_numerics::dynamics::{Accuracy, Forces, Method, Panel, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::stimuli::{Bell, Recorded, Source};
@@ -28,23 +26,13 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             layout,
             density: 1e-8,
             stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-            parts: PartFactors::default(),
-            relaxation: None,
             damping_ratio: 0.02,
-            damping: None,
-            inertia: None,
-            contact: None,
-            linearised: false,
             clamped: vec![0, 1, 2, 3],
-            guided: Vec::new(),
-            imposed: Vec::new(),
             panels: vec![Panel::central(9, direction), Panel::central(10, direction)],
             sensors: vec![5],
-            chip: None,
-            mount: None,
-            frame: Frame::World,
             duration: 0.2,
             instants: 40,
+            ..Scene::default()
         },
         search: None,
         solver: Solver::new(Method::Auto, Accuracy(1e-3)),
