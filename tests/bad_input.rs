@@ -406,6 +406,21 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),
     ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
     ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is listed twice"),
+    (
+        "panels = [2]",
+        "panels = [2]\n\"body.spacing\" = [15, 15.0]",
+        "s.toml:15: body.spacing = 15.0: is listed twice",
+    ),
+    (
+        "panels = [2]",
+        "points = [{ panels = 2, body.columns = 5 }]",
+        "s.toml:14: sweep.points.body: must not be a table; write the path of each key in quotes: \"body.columns\" = 5",
+    ),
+    (
+        "name = \"s\"",
+        "name = \"long_name_long_name_long_name_long_name_long_name_long_name_long_name_long_name_long_name_long_name_x\"",
+        "…: must have at most 100 bytes, because it names files",
+    ),
     ("sensors = [1, 2]", "sensors = [17]", "s.toml:15: sweep.sensors = 17: the body has 16 free units"),
     (
         "sensors = [1, 2]",
@@ -800,26 +815,23 @@ fn every_error_in_a_spec_names_file_line_key_and_value() {
     assert!(!bench.path("results").exists(), "a run with a bad spec wrote something");
 }
 
-/// The end of a pipe that nobody reads, as in `metasense … 2>&1 >/dev/null | head -1`.
+/// The end of a pipe that nobody reads; files are still written.
 #[test]
 fn closed_outputs_change_no_exit_code() {
     let bench = Bench::new();
     bench.file("bad.toml", &SPEC.replacen("columns = 6", "colums = 6", 1));
     bench.file("good.toml", SPEC);
     let parquet = ["expand", "good.toml", "--format", "parquet"];
-    for (args, code) in
-        [(&["expand", "bad.toml"][..], 2), (&parquet[..2], 0), (&parquet, 0), (&["status", "none"], 2)]
-    {
-        let closed = || std::io::pipe().unwrap().1;
-        let status = std::process::Command::new(env!("CARGO_BIN_EXE_metasense"))
-            .args(args)
-            .current_dir(bench.path("."))
-            .stdout(closed())
-            .stderr(closed())
-            .status()
-            .unwrap();
-        assert_eq!(status.code(), Some(code), "{args:?}");
+    for (args, code) in [
+        (&["expand", "bad.toml"][..], 2),
+        (&parquet[..2], 0),
+        (&parquet, 0),
+        (&["status", "none"], 2),
+        (&["body", "modes", "good.toml", "--out", "m.svg"], 0),
+    ] {
+        assert_eq!(bench.closed(args), Some(code), "{args:?}");
     }
+    assert!(bench.path("m.svg").exists());
 }
 
 /// 140 edges are too short; the message lists some and the number of the others.
@@ -867,6 +879,21 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (
             &["export", "none.sqlite", "ab", "--format", "svg", "--mould", "wall=2", "--out", "x"],
             "--mould: only for --format dxf, stl and device; leave it out",
+        ),
+        (&["export", "none.sqlite", "", "--format", "npy", "--out", "x"], "is empty: set the variable"),
+        (
+            &["expand", "s.toml", "body.columns=5", "body.columns=6"],
+            "command line: body.columns = 5: is set twice; leave one out",
+        ),
+        (
+            &["lab", "identify", "s.toml", "--records", "r.toml", "--out", "no/t.toml"],
+            "--out no/t.toml: the folder no does not exist; create it",
+        ),
+        (&["body", "place", "s.toml", "--out", "."], "--out .: is a folder; pass a file"),
+        (&["body", "place", "s.toml", "--out", "file/p.svg"], "--out file/p.svg: file is not a folder"),
+        (
+            &["body", "simulate", "s.toml", "--forces", "f.npy", "--out-dir", "file"],
+            "--out-dir file: is not a folder; choose another name",
         ),
         (&["run", "twice.toml"], "twice.toml:11: stimuli.recorded.files = "),
         (&["frobnicate"], "unrecognized subcommand 'frobnicate'"),

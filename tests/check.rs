@@ -21,7 +21,8 @@ fn look(bench: &Bench, records: &str, more: &[&str]) -> (Option<i32>, Vec<[Strin
 fn aliased_channels_are_not_compared() {
     let bench = identify::bench();
     let (code, rows) = look(&bench, "r.toml", &[]);
-    let [[place, ..]] = &rows[..] else { panic!("{rows:?}") };
+    let [[place, ..], [_, unknown, _]] = &rows[..] else { panic!("{rows:?}") };
+    assert!(unknown.contains("too few entries before the blows: the signals"), "{rows:?}");
     assert!(
         code == Some(0) && place.contains("a_x") && place.contains("a_y") && !place.contains('ω'),
         "{rows:?}"
@@ -73,8 +74,10 @@ fn what_is_wrong_is_named_with_its_remedy() {
     wrong(&["a_y of sensor 0", "constant value", "sensors.channels"], &other);
     wrong(&["signals.acceleration_unit = \"mm/s2\""], &format!("{text}acceleration_unit = \"g\"\n"));
     wrong(&["recorded.force_unit = \"N\""], &text.replace("[recorded]", "[recorded]\nforce_unit = \"mN\""));
-    // the message names an unreadable record, and the others are checked
     let (shape, mut forces) = bench.array("h.npy");
+    bench.write_array("offset.npy", &shape, &forces.iter().map(|f| f + 0.1).collect::<Vec<f64>>());
+    wrong(&["force 0", "N before the blows", "remove_offset = true"], &text.replace("h.npy", "offset.npy"));
+    // the message names an unreadable record, and the others are checked
     forces[7] = f64::NAN;
     bench.write_array("h.npy", &shape, &forces);
     wrong(&["record 0", "must be a finite number"], &text);

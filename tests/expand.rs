@@ -63,6 +63,11 @@ fn a_narrowed_sweep_leaves_out_what_it_does_not_use() {
     bench.file("s.toml", &TINY.replace("iterations = 10", "iterations = 10\nridge = 0.1"));
     let (code, text) = said(&["sweep.seeds=[3]"]);
     assert!(code == Some(2) && text.contains("brain.ridge = 0.1"), "{text}");
+    bench.file("s.toml", TINY);
+    let same = "{ \"body.columns\" = 5 }, { \"body.columns\" = 5, \"sensors.delay\" = 0.0 }";
+    let (code, text) = said(&[&format!("sweep.points=[{same}]")]);
+    let expected = "warning: sweep.points: 2 trials equal to others; left out";
+    assert!(code == Some(0) && text.contains(expected), "{text}");
 }
 
 /// A mixture of forces has hundreds of characters: complete for programs, only its beginning in tables.
@@ -177,13 +182,21 @@ fn linked_values_multiply_with_the_lists() {
 fn a_hash_that_names_no_one_trial_is_refused() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
-    for (hash, why) in
-        [("", "several hashes begin with this text: "), ("xyz", "no hash begins with this text")]
-    {
-        let output = bench.metasense(&["body", "modes", "s.toml", hash]);
+    // 18 trials, 16 first digits
+    let seeds = "sweep.seeds=[1, 2, 3, 4, 5, 6, 7, 8, 9]";
+    let csv = bench.output(&["expand", "s.toml", seeds, "--format", "csv"]);
+    let digits: Vec<&str> = csv.lines().skip(1).map(|line| &line[..1]).collect();
+    let (_, shared) = digits.iter().enumerate().find(|(i, digit)| digits[..*i].contains(digit)).unwrap();
+    let several = format!("s.toml: trial {shared}: several hashes begin with this text: ");
+    for (hash, why) in [
+        (*shared, &*several),
+        ("xyz", "s.toml: trial xyz: no hash begins with this text"),
+        ("", "is empty: set the variable in its place, or leave it out"),
+    ] {
+        let output = bench.metasense(&["body", "modes", "s.toml", seeds, hash]);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{errors}");
-        assert!(errors.contains(&format!("s.toml: trial {hash}: {why}")), "{errors}");
+        assert!(errors.contains(why), "{errors}");
     }
 }
 

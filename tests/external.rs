@@ -98,6 +98,10 @@ for line in sys.stdin:
             print("hello")
         if mode == "dies" and calls == 8:
             os.kill(os.getpid(), 9)
+        if mode == "closes" and not os.path.exists("closed"):
+            open("closed", "w").close()
+            os.close(1)
+            time.sleep(60)
         if mode == "error":
             print(json.dumps({"error": "mesh: inverted element"}), flush=True)
             continue
@@ -160,7 +164,8 @@ fn a_foreign_body_is_trained_whatever_kills_its_process() {
     assert_eq!(rows(&calm), rows(&disturbed));
     assert_eq!(rows(&calm).matches(",external,9,").count(), 4, "{}", rows(&calm));
     assert_eq!(results(&calm, "results/low.sqlite"), results(&disturbed, "results/low.sqlite"));
-    let hashes = calm.output(&["query", "results/low.sqlite", "SELECT hash FROM v_trial", "--format", "csv"]);
+    let sql = "SELECT hash FROM v_trial ORDER BY sensors DESC, seed";
+    let hashes = calm.output(&["query", "results/low.sqlite", sql, "--format", "csv"]);
     let hash = hashes.lines().nth(1).unwrap();
     calm.output(&["export", "results/low.sqlite", hash, "--format", "npy", "--out", "d.npy"]);
     let (_, design) = calm.array("d.npy");
@@ -174,6 +179,14 @@ fn a_foreign_body_is_trained_whatever_kills_its_process() {
     calm.output(&["analyse", "results/low.sqlite"]);
     calm.output(&["body", "draw", "s.toml", "--out", "d.svg"]);
     assert!(std::fs::read_to_string(calm.path("d.svg")).unwrap().starts_with("<svg"));
+}
+
+/// A process that closes its output and does not end is replaced by a new one.
+#[test]
+fn a_process_that_closes_its_output_is_restarted() {
+    let bench = bench("closes");
+    bench.output(&["trial", "s.toml"]);
+    assert!(bench.path("closed").exists());
 }
 
 /// Each fault has a name, and the message contains the process's output.

@@ -224,6 +224,19 @@ fn the_same_forces_under_another_name_are_refused() {
         assert_eq!(refused.status.code(), Some(2), "{said}");
         assert!(said.contains("t.toml:21: stimuli.recorded.files = ") && said.contains("c.csv"), "{said}");
     }
+    // records without forces
+    for name in ["a.csv", "b.csv", "c.csv"] {
+        bench.file(name, &("t,f\n".to_owned() + &blow(0.0, comma)));
+    }
+    let text = std::fs::read_to_string(bench.path("t.toml")).unwrap();
+    bench.file("t.toml", &text.replace("trigger = { threshold = 0.1 }\n", ""));
+    let refused = bench.metasense(&["expand", "t.toml"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        refused.status.code() == Some(2)
+            && said.contains("stimuli.recorded.force = [\"f\"]: is 0 in all records"),
+        "{said}"
+    );
 }
 
 /// A table without names is read if the spec permits, and gives the same forces; keys that do not fit any file are refused.

@@ -177,6 +177,14 @@ async fn a_failed_trial_is_run_again_on_request_alone() {
     let said = String::from_utf8_lossy(&settled.stderr).into_owned();
     assert_eq!(settled.status.code(), Some(1), "{said}");
     assert!(said.contains("(time_limit)") && said.contains("--retry-failed"), "{said}");
+    for args in [&["run", "tiny.toml"][..], &["status", "results/tiny.sqlite"]] {
+        assert_eq!(bench.closed(args), Some(1), "{args:?}");
+    }
+    let refused =
+        bench.metasense(&["export", "results/tiny.sqlite", hash, "--format", "npy", "--out", "d.npy"]);
+    let why = String::from_utf8_lossy(&refused.stderr);
+    let expected = "failed: time_limit; `metasense run SPEC --retry-failed` resumes it";
+    assert!(refused.status.code() == Some(2) && why.contains(expected), "{why}");
     bench.output(&["run", "tiny.toml", "--retry-failed"]);
     let attempts = "SELECT attempt, state, coalesce(reason, '') FROM v_attempt ORDER BY attempt";
     assert_eq!(

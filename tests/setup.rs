@@ -12,7 +12,8 @@ fn every_template_is_a_spec_of_its_own_name() {
         assert!(text.starts_with("# ") && text.contains("\nname = \"mine\""), "{template}: {text}");
         assert!(bench.output(&["expand", "mine.toml", "--format", "csv"]).lines().count() > 1);
         let refused = bench.metasense(&["init", template, "mine.toml"]);
-        assert!(refused.status.code() != Some(0) && !refused.stderr.is_empty());
+        let why = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && why.contains("mine.toml: exists already"), "{why}");
         assert_eq!(std::fs::read_to_string(bench.path("mine.toml")).unwrap(), text);
         std::fs::remove_file(bench.path("mine.toml")).unwrap();
     }

@@ -45,7 +45,8 @@ pub struct Plan {
     pub spec: SweepSpec,
     /// The trials, in the order in which they run.
     pub trials: Vec<Trial>,
-    /// Keys of the file that overrides have made irrelevant, with the reason; `source` does not contain them.
+    /// Repeated trials of points, and keys of the file that overrides have made irrelevant, with the reason; `source` does not
+    /// contain these keys.
     pub left_out: Vec<String>,
 }
 
@@ -57,12 +58,15 @@ impl Plan {
 
     /// Expands a spec.
     pub fn of(source: Source) -> Result<Self, SpecError> {
-        let Combinations { source, spec, combinations, left_out } = Combinations::of(source)?;
+        let Combinations { source, spec, combinations, mut left_out } = Combinations::of(source)?;
         let mut points = Vec::new();
         let added = combinations.iter().try_for_each(|one| add_points(&spec, &source, one, &mut points));
         external::end(); // workers start processes of their own
         added?;
-        let trials = trials(&spec, &points);
+        let (trials, repeated) = trials(&spec, &points);
+        if repeated > 0 && spec.sweep.axes.is_empty() {
+            left_out.push(format!("sweep.points: {} equal to others", counted(repeated, "trial")));
+        }
         if trials.is_empty() {
             return Err(source.error("sweep.exclude", "excludes all trials"));
         }
@@ -294,8 +298,9 @@ fn at(template: &TrialSpec, placement: usize, sensor_units: &[usize], seed: u64)
     trial
 }
 
-fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
-    let mut trials = Vec::new();
+/// The trials, and the number of repeated ones.
+fn trials(spec: &SweepSpec, points: &[PointPlan]) -> (Vec<Trial>, usize) {
+    let (mut trials, mut repeated) = (Vec::new(), 0);
     let mut seen = HashSet::new();
     let most_placements = points.iter().map(|p| p.placements.len()).max().unwrap_or(0);
     for (s, &seed) in spec.sweep.seeds.iter().enumerate() {
@@ -312,12 +317,13 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 let spec = at(&point.trial.spec, placement, units, seed);
                 let (hash, training) = (spec.hash(), point.training.at(&spec));
                 // Different axis values may give the same trial.
-                if seen.insert(hash.clone()) {
-                    trials.push(Trial { hash, training, spec, order: trials.len(), ..point.trial });
+                match seen.insert(hash.clone()) {
+                    true => trials.push(Trial { hash, training, spec, order: trials.len(), ..point.trial }),
+                    false => repeated += 1,
                 }
             }
         }
     }
     cost::first_trains(&mut trials);
-    trials
+    (trials, repeated)
 }

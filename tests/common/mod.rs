@@ -142,6 +142,14 @@ impl Bench {
             .unwrap()
     }
 
+    /// The exit code of a call with outputs that nobody reads, as in `metasense … 2>&1 | true`.
+    pub fn closed(&self, args: &[&str]) -> Option<i32> {
+        let closed = || std::io::pipe().unwrap().1;
+        let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+        command.args(args).current_dir(self.folder.path()).stdout(closed()).stderr(closed());
+        command.status().unwrap().code()
+    }
+
     /// Starts the program in the folder; discards its output.
     pub fn start(&self, args: &[&str]) -> Child {
         let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));

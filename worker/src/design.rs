@@ -16,14 +16,14 @@ use crate::files::{self, Array, Form, Table};
 /// Largest difference between the shifts of the two ends of a ligament in a CSV of nodes (mm).
 const AGREE: f64 = 1e-6;
 
-/// A design file that cannot be read or written, or has invalid content.
+/// A design file that cannot be read, or has an invalid name or content.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum DesignError {
-    /// The file cannot be read or written.
-    #[error("{doing} {}", path.display())]
-    Io { doing: &'static str, path: PathBuf, source: std::io::Error },
+    /// The file cannot be read.
+    #[error("reading {}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
     /// The name ends in neither `.npy` nor `.csv`.
     #[error("{}: a design must be an .npy or a .csv file", path.display())]
     Ending { path: PathBuf },
@@ -82,7 +82,7 @@ pub fn finite(what: &str, values: &[f64]) -> Result<(), String> {
 
 /// Contents of a design file.
 pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>, DesignError> {
-    files::read(path).map_err(|source| DesignError::Io { doing: "reading", path: path.into(), source })
+    files::read(path).map_err(|source| DesignError::Io { path: path.into(), source })
 }
 
 /// Encodes a design in the format of the file's extension.

@@ -172,7 +172,8 @@ impl External {
                     "its description or a text file of the command has changed since the trial was planned";
                 return Err(self.fault(BodyFault::Changed, what));
             }
-            process.call(request, arrays, output, *limit, heartbeat)
+            // a process that closed its output may still run
+            process.call(request, arrays, output, *limit, heartbeat).inspect_err(|_| *kept = None)
         };
         let mut found = once();
         for _ in 0..RESTARTS {

@@ -34,6 +34,11 @@ pub fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Res
     if holds { Ok(()) } else { Err(invalid(key, value, remedy)) }
 }
 
+/// Rejects a key that is set.
+pub(crate) fn absent(key: &str, given: Option<impl Display>, remedy: &str) -> Result<(), Invalid> {
+    given.map_or(Ok(()), |value| Err(invalid(key, value, remedy)))
+}
+
 /// Checks that a number is finite and above 0.
 ///
 /// # Errors

@@ -89,19 +89,13 @@ pub fn check(needs: &Needs) -> Result<(), Shortage> {
         0 => threads,
         _ => workers * (threads + THREADS.iter().sum::<u64>()),
     };
-    let shared = Path::new(SHARED_MEMORY);
+    let (shared, in_worker) = (Path::new(SHARED_MEMORY), DESCRIPTORS[1] * workers.min(1));
     let mut short = vec![
         user_threads(started),
         cgroup_tasks(started),
         machine_threads(started),
         descriptors(if workers == 0 { 4 } else { workers * DESCRIPTORS[0] + 8 }),
-        resource(
-            Resource::Nofile,
-            "descriptors of a worker (`ulimit -n`)",
-            0,
-            DESCRIPTORS[1] * workers.min(1),
-            false,
-        ),
+        resource(Resource::Nofile, "descriptors of a worker (`ulimit -n`)", 0, in_worker, false),
         memory(workers * MEMORY),
         cgroup_memory(workers * MEMORY),
         space(shared, workers * SPACE_PER_WORKER, SHARED_SPACE),

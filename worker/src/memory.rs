@@ -144,13 +144,10 @@ fn refuse(parts: Vec<Part>, limit: Option<&MemoryLimit>) -> Result<(), Invalid> 
         None => Ok(()),
         Some((key, value, what, part)) => {
             let [all, part, bytes] = [all, part, *bytes].map(readable);
-            Err(invalid(
-                key,
-                value,
-                format!(
-                    "a worker needs at least {all} of memory, {part} of it for {what}; {name} only {bytes}"
-                ),
-            ))
+            let remedy = format!(
+                "a worker needs at least {all} of memory, {part} of it for {what}; {name} only {bytes}"
+            );
+            Err(invalid(key, value, remedy))
         }
     }
 }

@@ -75,7 +75,7 @@ fn evaluations() -> f64 {
 
 fn training() -> f64 {
     let [samples, instants] = BATCH;
-    let architecture = Architecture::new(64, &[3, 3, 1], &[1, 1, 1], false);
+    let architecture = Architecture::paper(64);
     let shape = Shape { instants, inputs: 3, outputs: 2, architecture };
     let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
     let mut draw = |n: usize| (0..n).map(|_| stream.normal() as f32).collect::<Vec<f32>>();

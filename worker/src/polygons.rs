@@ -126,10 +126,8 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
             if let Some(other) = taken.insert([unit, node], l) {
                 let remedy =
                     "two ligaments at one node leave no clearance between them: use a separate node for each";
-                return wrong(
-                    at(),
-                    format!("node {node} of unit {unit} has ligaments[{other}] already; {remedy}"),
-                );
+                let what = format!("node {node} of unit {unit} has ligaments[{other}] already; {remedy}");
+                return wrong(at(), what);
             }
         }
         let [[x, y], [z, w]] = [given.units[a][p], given.units[b][q]];
@@ -142,10 +140,8 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
             return wrong(format!("together[{group}]"), format!("unit {unit} has no node {node}"));
         }
         if let Some(n) = (1..ends.len()).find(|n| ends[..*n].contains(&ends[*n])) {
-            return wrong(
-                format!("together[{group}]"),
-                format!("names node {} of unit {} twice", ends[n][1], ends[n][0]),
-            );
+            let [unit, node] = ends[n];
+            return wrong(format!("together[{group}]"), format!("names node {node} of unit {unit} twice"));
         }
     }
     for (name, units) in [

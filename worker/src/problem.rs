@@ -28,7 +28,7 @@ mod size;
 mod stimuli;
 
 pub use crate::invalid::{Invalid, as_written};
-use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require, within};
+use crate::invalid::{absent, at_least, invalid, not_negative, positive, require, within};
 pub use body::{
     check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
 };
@@ -177,11 +177,8 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
         |holds: bool, remedy: &str| require(holds, "brain.task", as_written(&trial.brain.task), remedy);
     let linear = trial.brain.kind == spec::BrainKind::Linear && trial.optimise.linear();
     check(linear, "set brain.kind = \"linear\": other decoders estimate forces only")?;
-    let differentiable = trial.optimise.protocol != spec::Protocol::Paper;
-    check(
-        differentiable,
-        "set optimise.protocol = \"joint\" or \"random\": \"paper\" trains for forces only",
-    )?;
+    let remedy = "set optimise.protocol = \"joint\" or \"random\": \"paper\" trains for forces only";
+    check(trial.optimise.protocol != spec::Protocol::Paper, remedy)?;
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
     }
@@ -255,15 +252,10 @@ pub fn measures(trial: &TrialSpec) -> Result<[f64; 2], Invalid> {
 }
 
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
-    positive("time.duration", trial.time.duration)?;
-    require(
-        trial.time.duration <= DURATION_MAX,
-        "time.duration",
-        trial.time.duration,
-        "must be at most 86400 s, a day",
-    )?;
-    at_least("time.samples", trial.time.samples, 3)?;
-    at_most("time.samples", trial.time.samples, INSTANTS_MAX)?;
+    let duration = trial.time.duration;
+    positive("time.duration", duration)?;
+    require(duration <= DURATION_MAX, "time.duration", duration, "must be at most 86400 s, a day")?;
+    within("time.samples", trial.time.samples, 3, INSTANTS_MAX)?;
     check_tolerance("solver.tolerance", trial.solver.tolerance)?;
     if let Some(coarse) = &trial.optimise.coarse {
         check_tolerance("optimise.coarse.tolerance", coarse.tolerance)?;
@@ -290,27 +282,20 @@ fn scaling(trial: &TrialSpec) -> Result<Scaling, Invalid> {
 pub fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     let spec::Network { width, kernels, dilations, causal } = trial.brain.network();
     let instants = trial.time.samples;
-    at_least("brain.width", width, 1)?;
-    at_most("brain.width", width, WIDTH_MAX)?;
+    within("brain.width", width, 1, WIDTH_MAX)?;
     let all = |key: &str, values: &[usize], holds: bool, remedy: &str| {
         require(holds, key, format!("{values:?}"), remedy)
     };
     let of_kernels = |holds: bool, remedy: &str| all("brain.kernels", &kernels, holds, remedy);
     let of_dilations = |holds: bool, remedy: &str| all("brain.dilations", &dilations, holds, remedy);
-    of_kernels(
-        (2..=LAYERS_MAX).contains(&kernels.len()),
-        &format!("must contain 2 to {LAYERS_MAX} layers, the output layer last"),
-    )?;
-    of_dilations(
-        dilations.len() == kernels.len(),
-        &format!("must contain one number per entry of brain.kernels = {kernels:?}"),
-    )?;
+    let remedy = format!("must contain 2 to {LAYERS_MAX} layers, the output layer last");
+    of_kernels((2..=LAYERS_MAX).contains(&kernels.len()), &remedy)?;
+    let remedy = format!("must contain one number per entry of brain.kernels = {kernels:?}");
+    of_dilations(dilations.len() == kernels.len(), &remedy)?;
     of_kernels(!kernels.contains(&0), "must be numbers of at least 1")?;
     of_dilations(!dilations.contains(&0), "must be numbers of at least 1")?;
-    of_kernels(
-        causal || kernels.iter().all(|k| k % 2 == 1),
-        "must be odd if brain.causal = false: an even kernel has no centre",
-    )?;
+    let remedy = "must be odd if brain.causal = false: an even kernel has no centre";
+    of_kernels(causal || kernels.iter().all(|k| k % 2 == 1), remedy)?;
     for (layer, (kernel, dilation)) in kernels.iter().zip(&dilations).enumerate() {
         let reach = (kernel - 1).saturating_mul(*dilation) / if causal { 1 } else { 2 };
         let remedy = format!(
@@ -430,12 +415,10 @@ pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
     for (key, angle) in angles {
         require((0.0..=180.0).contains(&angle), key, angle, "must lie between 0 and 180 degrees")?;
     }
-    require(
-        feasible.min_block_angle < 90.0 && feasible.max_block_angle > 90.0,
-        "feasible.min_block_angle",
-        feasible.min_block_angle,
-        "must be below 90 degrees, and feasible.max_block_angle above: the four angles of a unit average 90",
-    )?;
+    let (least, most) = (feasible.min_block_angle, feasible.max_block_angle);
+    let remedy =
+        "must be below 90 degrees, and feasible.max_block_angle above: the four angles of a unit average 90";
+    require(least < 90.0 && most > 90.0, "feasible.min_block_angle", least, remedy)?;
     not_negative("feasible.min_edge", feasible.min_edge)?;
     not_negative("feasible.clearance", feasible.clearance)?;
     not_negative("feasible.ligament_clearance", feasible.ligament_clearance)?;
@@ -476,20 +459,14 @@ fn scene(
         let remedy = "fixes the only coordinate in which the force on this unit could move it";
         require(!guided.iter().any(is_immovable), "body.guides", panel.unit, remedy)?;
     }
-    require(
-        panels.len() == trial.point.panels && !panels.is_empty(),
-        "sweep.panels",
-        trial.point.panels,
-        &format!("the layout has {} panels", panels.len()),
-    )?;
+    let remedy = format!("the layout has {} panels", panels.len());
+    let found = panels.len() == trial.point.panels && !panels.is_empty();
+    require(found, "sweep.panels", trial.point.panels, &remedy)?;
     let sensors = check_units("sensors.placements", &trial.sensor_units, &layout, &clamped)?;
     let searched = trial.sensors.search.is_some() && sensors.is_empty();
-    require(
-        searched || sensors.len() == trial.point.sensors && !sensors.is_empty(),
-        "sweep.sensors",
-        trial.point.sensors,
-        &format!("the layout has {} free units to carry sensors", sensors.len()),
-    )?;
+    let remedy = format!("the layout has {} free units to carry sensors", sensors.len());
+    let found = searched || sensors.len() == trial.point.sensors && !sensors.is_empty();
+    require(found, "sweep.sensors", trial.point.sensors, &remedy)?;
     let turned = body.panel_angle.unwrap_or_default();
     let remedy = "must lie between -180 and 180 degrees";
     require((-180.0..=180.0).contains(&turned), "body.panel_angle", turned, remedy)?;
@@ -543,9 +520,8 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     if matches!(search, None | Some(spec::Search::Random)) {
         let remedy = "has no effect without sensors.search = \"greedy\"";
-        let shown = from.map_or(String::new(), |from| as_written(&from));
-        require(from.is_none(), "sensors.from", shown, remedy)?;
-        require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
+        absent("sensors.from", from.map(|from| as_written(&from)), remedy)?;
+        absent("sensors.spacing", *spacing, remedy)?;
         return Ok(None);
     }
     let spacing = spacing.unwrap_or(0.0);

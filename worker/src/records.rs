@@ -15,7 +15,7 @@ use metasense_numerics::trial::{Problem, Protocol};
 use metasense_schemas::spec::{self, Decimal, Resample, Separator, TrialSpec};
 
 use crate::files::{self, Content, Form};
-use crate::invalid::{Invalid, as_written, invalid, positive};
+use crate::invalid::{Invalid, absent, as_written, invalid, positive, require};
 
 mod clock;
 mod pick;
@@ -79,7 +79,7 @@ pub(crate) fn load_records(
         let count = of_file.len();
         for (i, mut record) in of_file.into_iter().enumerate() {
             let wrong = |what| wrong(numbered(i, count, what));
-            check_step(&pick, &record, trial.time.duration).map_err(wrong)?;
+            check_step(&pick, &record, trial.time).map_err(wrong)?;
             align(recorded, &mut record, room).map_err(wrong)?;
             check_place(&pick, &record, trial.time.duration).map_err(wrong)?;
             records.push(record);
@@ -132,8 +132,8 @@ pub fn clock(kind: Resample) -> Clock {
 /// impulse; sensor noise may reach 0.02 in the record of a weak blow.
 pub const CUT: f64 = 0.05;
 
-/// Checks that no two records are copies and that shifts do not cut forces off. Called when trials are planned; replays of older
-/// trials skip it.
+/// Checks that records contain forces, that no two are copies and that shifts do not cut forces off. Called when trials are planned;
+/// replays of older trials skip it.
 ///
 /// # Errors
 /// Names the record.
@@ -142,7 +142,7 @@ pub fn check_records(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid
     check_shifts(problem)
 }
 
-/// Rejects two records of the same force on the same panel: a copy would train and test the same decoder.
+/// Rejects records without any force, and two of the same force on the same panel: a copy would train and test the same decoder.
 fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
     let sources = std::iter::once(&problem.stimuli.source).chain(&problem.under);
     let records = sources.flat_map(Source::parts).find_map(|part| match part {
@@ -150,6 +150,10 @@ fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
         _ => None,
     });
     let Some(Recorded { histories, struck, .. }) = records else { return Ok(()) };
+    let remedy = "is 0 in all records: list the columns or arrays that contain the forces";
+    let read = trial.stimuli.recorded.as_ref().and_then(|recorded| recorded.force.as_ref());
+    let shown = read.map_or(String::new(), as_written);
+    require(histories.values.iter().any(|f| *f != 0.0), "stimuli.recorded.force", shown, remedy)?;
     let files = trial.stimuli.recorded.as_ref().map_or(&[][..], |recorded| &recorded.files);
     let name = |i: usize| match files.len() == histories.samples {
         true => format!("{:?}", files[i].display().to_string()),
@@ -202,14 +206,11 @@ fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
             let part =
                 record.chunks_exact(histories.instants + 1).map(lost).fold(0.0, f64::max) / peak(record);
             if part > CUT {
-                return Err(invalid(
-                    "stimuli.recorded.augment.shift",
-                    format!("{shift:?}"),
-                    format!(
-                        "would cut off forces of {:.0} % of the peak at {place} of record {i}: {remedy}, or shift less",
-                        100.0 * part
-                    ),
-                ));
+                let remedy = format!(
+                    "would cut off forces of {:.0} % of the peak at {place} of record {i}: {remedy}, or shift less",
+                    100.0 * part
+                );
+                return Err(invalid("stimuli.recorded.augment.shift", format!("{shift:?}"), remedy));
             }
         }
     }
@@ -241,13 +242,10 @@ pub fn check_form(
         ("separator", separator.map(|separator| as_written(&separator))),
         ("decimal", decimal.map(|decimal| as_written(&decimal))),
     ];
-    match keys.into_iter().find_map(|(key, given)| Some((key, given?))) {
-        Some((key, value)) if !files.iter().any(|file| files::ending(file) == "csv") => {
-            let remedy = format!("has no effect: none of {table}.files is a CSV");
-            Err(invalid(&format!("{table}.{key}"), value, remedy))
-        }
-        _ => Ok(()),
-    }
+    let read = files.iter().any(|file| files::ending(file) == "csv");
+    let remedy = format!("has no effect: none of {table}.files is a CSV");
+    let mut unread = keys.into_iter().filter(|_| !read);
+    unread.try_for_each(|(key, given)| absent(&format!("{table}.{key}"), given, &remedy))
 }
 
 /// Adds the record's number to an error message if the file contains several.
@@ -255,13 +253,23 @@ pub fn numbered(record: usize, count: usize, what: String) -> String {
     if count == 1 { what } else { format!("record {record}: {what}") }
 }
 
-/// Rejects a time step longer than a sample: probably a wrong unit.
-pub fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
-    if record.dt <= duration {
+/// Least step of a record, relative to the sample.
+const FINEST: f64 = 1e-7;
+
+/// Rejects a time step longer than a sample, a far shorter one, and a record shorter than an instant: probably a wrong unit.
+pub fn check_step(pick: &Pick, record: &Record, time: spec::Time) -> Result<(), String> {
+    let (dt, duration, key) = (record.dt, time.duration, pick.clock_key());
+    let (lasts, instant) = (dt * (record.values[0].len() - 1) as f64, duration / time.samples as f64);
+    let what = if dt > duration {
+        "longer than a sample".to_owned()
+    } else if dt < FINEST * duration {
+        format!("less than {FINEST:e} of a sample")
+    } else if lasts < 0.999 * instant {
+        format!("in all {lasts:?} s, less than an instant of {instant} s")
+    } else {
         return Ok(());
-    }
-    let (key, dt) = (pick.clock_key(), record.dt);
-    Err(format!("has a step of {dt} s, longer than a sample (time.duration = {duration} s): check {key}"))
+    };
+    Err(format!("has a step of {dt:?} s, {what} (time.duration = {duration} s): check {key}"))
 }
 
 /// Rejects a record whose force lies outside the sample.
@@ -292,13 +300,9 @@ pub fn check_panels(
     panels: usize,
 ) -> Result<(), Invalid> {
     let held = records.first().map_or(1, |record| record.values.len());
-    if records.iter().any(|record| record.values.len() != held) {
-        return Err(invalid(
-            "stimuli.recorded.force",
-            "mixed",
-            "all files must contain the same number of forces per record",
-        ));
-    }
+    let alike = records.iter().all(|record| record.values.len() == held);
+    let remedy = "all files must contain the same number of forces per record";
+    require(alike, "stimuli.recorded.force", "mixed", remedy)?;
     let Some(struck) = &recorded.panels else { return Ok(()) };
     let remedy = match held {
         1 if struck.len() == count && struck.iter().all(|&k| k < panels) => return Ok(()),
@@ -333,6 +337,9 @@ pub fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
             return wrong(name, format!("[{least}, {most}]"), "must be [min, max] with min ≤ max");
         }
     }
+    if recorded.augment.scale == [0.0; 2] {
+        return wrong("augment.scale", "[0, 0]".into(), "would leave no force: must not be 0");
+    }
     check_form("stimuli.recorded", &recorded.files, recorded.header, recorded.separator, recorded.decimal)?;
     let Some(known) = &recorded.digest else { return Ok(()) };
     let now = digest(recorded)?;
@@ -360,6 +367,11 @@ pub fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -> Resul
     let Some(first) = record.values.iter().filter_map(reached).min() else {
         return Err(format!("never reaches the trigger threshold of {} N", trigger.threshold));
     };
+    if first == 0 {
+        let remedy = "set remove_offset = true, raise trigger.threshold, or leave trigger out";
+        let reached = trigger.threshold;
+        return Err(format!("has reached the trigger threshold of {reached} N at its first entry: {remedy}"));
+    }
     let before = record.start;
     record.start = trigger.before.unwrap_or(room) - first as f64 * record.dt;
     Ok(record.start - before)

@@ -260,18 +260,9 @@ fn group_name(group: &Group) -> String {
 }
 
 fn ratio_evidence(who: String, set: &'static str, ratio: Ratio, stated: f64, note: String) -> Evidence {
-    Evidence {
-        rating: Rating::of(ratio.interval, stated),
-        who,
-        set,
-        trials: ratio.trials,
-        found: Some(ratio.ratio),
-        interval: ratio.interval,
-        chance: ratio.p_value,
-        tells: ratio.detectable,
-        note,
-        over: ratio.over,
-    }
+    let Ratio { trials, ratio, interval, p_value: chance, detectable: tells, over, .. } = ratio;
+    let (found, rating) = (Some(ratio), Rating::of(interval, stated));
+    Evidence { who, set, trials, found, interval, chance, tells, note, over, rating }
 }
 
 /// Returns the evidence of each group and set.
@@ -354,8 +345,7 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         let numbers = places(&observations(&group.trials, Body::Initial, set, |t| t.sensors));
         let ratios: Vec<(f64, Ratio)> = numbers.into_iter().filter_map(at).collect();
         let low = |r: &Ratio| r.interval.map_or(0.0, |i| i.low);
-        let least = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)));
-        let (m, ratio) = least?;
+        let (m, ratio) = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)))?;
         let each = ratios.iter().map(|(m, r)| format!("M = {m}: {:.2}", r.ratio));
         let note = format!("lowest interval at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
         Some(ratio_evidence(group_name(group), set.name(), ratio.clone(), stated, note))
@@ -420,13 +410,8 @@ fn few_sensors_ratio(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> 
             each(&own, |t| t.error(body, set))
         };
         let ratio = paired_ratio(&of(most, Body::Initial), &of(few, Body::Optimised))?;
-        Some(ratio_evidence(
-            group_name(group),
-            set.name(),
-            ratio,
-            stated,
-            format!("{few} sensors against {most}"),
-        ))
+        let note = format!("{few} sensors against {most}");
+        Some(ratio_evidence(group_name(group), set.name(), ratio, stated, note))
     })
 }
 
@@ -450,11 +435,8 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             places(&points_by_body[body]).iter().filter_map(at).collect()
         };
         let ratio = Ratio::by(&units, group.trials.len(), 0, statistic)?;
-        let note = format!(
-            "largest / smallest error, per M: initial {} → trained {}",
-            worst(0).join(", "),
-            worst(1).join(", ")
-        );
+        let [initial, trained] = [0, 1].map(|body| worst(body).join(", "));
+        let note = format!("largest / smallest error, per M: initial {initial} → trained {trained}");
         Some(ratio_evidence(who, set.name(), ratio, stated, note))
     })
 }

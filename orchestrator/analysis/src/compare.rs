@@ -38,11 +38,9 @@ impl<'a> Comparison<'a> {
             let value = trials.first()?.setting.get(path);
             trials.iter().all(|t| t.setting.get(path) == value).then_some(value)
         };
-        let differs: BTreeMap<&str, [Option<&Value>; 2]> = paths
-            .into_iter()
-            .filter_map(|path| Some((path, [sole(first, path)?, sole(second, path)?])))
-            .filter(|(path, [a, b])| a != b && !ALWAYS.contains(path))
-            .collect();
+        let own = paths.into_iter().filter_map(|at| Some((at, [sole(first, at)?, sole(second, at)?])));
+        let differs: BTreeMap<&str, [Option<&Value>; 2]> =
+            own.filter(|(path, [a, b])| a != b && !ALWAYS.contains(path)).collect();
         let key = |t: &'a Trial| -> Vec<(&'a str, String)> {
             let rest = t.setting.leaves().into_iter().filter(|(path, _)| !differs.contains_key(path));
             rest.map(|(path, value)| (path, value.to_string())).collect()

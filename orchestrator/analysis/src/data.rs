@@ -188,10 +188,8 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
 
 /// Returns the leaves below [`FURTHER_EVALUATION`].
 fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
-    leaves
-        .iter()
-        .filter(|(path, _)| FURTHER_EVALUATION.iter().any(|name| is_at_or_below(path, name)))
-        .collect()
+    let further = |path: &str| FURTHER_EVALUATION.iter().any(|name| is_at_or_below(path, name));
+    leaves.iter().filter(|(path, _)| further(path)).collect()
 }
 
 /// Returns the trials with a value of `found`. Of trials that differ only in further evaluations of their bodies, only the
@@ -385,19 +383,13 @@ pub struct Level {
 
 /// Returns mean and range of the error at every value of the axis.
 pub fn levels(observations: &[Observation]) -> Vec<Level> {
-    places(observations)
-        .into_iter()
-        .map(|at| {
-            let errors: Vec<f64> = observations.iter().filter(|o| o.at == at).map(|o| o.error).collect();
-            Level {
-                at,
-                trials: errors.len(),
-                mean: geometric_mean(&errors),
-                least: errors.iter().copied().fold(f64::INFINITY, f64::min),
-                most: errors.iter().copied().fold(0.0, f64::max),
-            }
-        })
-        .collect()
+    let level = |at: f64| {
+        let errors: Vec<f64> = observations.iter().filter(|o| o.at == at).map(|o| o.error).collect();
+        let of = |start, pick: fn(f64, f64) -> f64| errors.iter().copied().fold(start, pick);
+        let (least, most) = (of(f64::INFINITY, f64::min), of(0.0, f64::max));
+        Level { at, trials: errors.len(), mean: geometric_mean(&errors), least, most }
+    };
+    places(observations).into_iter().map(level).collect()
 }
 
 /// Returns the parts of a label except K and M.

@@ -91,11 +91,8 @@ pub fn decisions(observations: &[Observation], terms: Terms) -> Option<Decisions
     let decision = |rule: &dyn Fn(&Means) -> f64| {
         let chosen: Vec<f64> = replicates.iter().map(|means| rule(means)).collect();
         let share = |m: f64| chosen.iter().filter(|c| **c == m).count() as f64 / chosen.len() as f64;
-        Decision {
-            at: rule(&all),
-            votes: (!chosen.is_empty()).then(|| at.iter().map(|m| (*m, share(*m))).collect()),
-            without_largest: rule(&all[..all.len() - 1]),
-        }
+        let votes = (!chosen.is_empty()).then(|| at.iter().map(|m| (*m, share(*m))).collect());
+        Decision { at: rule(&all), votes, without_largest: rule(&all[..all.len() - 1]) }
     };
     let min_by_cost = |means: &Means, cost: &dyn Fn(&(f64, f64)) -> f64| {
         means.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).copied().expect("two M at least")
@@ -109,12 +106,8 @@ pub fn decisions(observations: &[Observation], terms: Terms) -> Option<Decisions
         let bar = 100.0 - terms.fall * (100.0 - error);
         means.iter().find(|m| m.1 <= bar).map_or(best, |m| m.0)
     };
-    Some(Decisions {
-        within: decision(&within),
-        fall: decision(&fall),
-        priced: terms.price.map(|price| decision(&|means| min_by_cost(means, &|m| m.1 + price * m.0).0)),
-        over: units.over(),
-    })
+    let priced = terms.price.map(|price| decision(&|means| min_by_cost(means, &|m| m.1 + price * m.0).0));
+    Some(Decisions { within: decision(&within), fall: decision(&fall), priced, over: units.over() })
 }
 
 #[cfg(test)]

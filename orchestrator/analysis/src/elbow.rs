@@ -155,17 +155,9 @@ pub fn elbow(observations: &[Observation], scale: ErrorScale) -> Result<Elbow, T
         let rest: Vec<Observation> = observations.iter().filter(|o| o.at < largest).copied().collect();
         Curve::new(&Grid::new(&rest, &clusters), clusters.len(), scale).broken_stick(&even, SMOOTH)
     });
-    Ok(Elbow {
-        broken_stick,
-        without_largest,
-        any_decay: curve.broken_stick(&even, 0),
-        kneedle: kneedle(&levels),
-        chord: chord(&levels, scale),
-        votes,
-        gains: gains(observations),
-        verdict,
-        over: resampling.over(),
-    })
+    let (any_decay, kneedle) = (curve.broken_stick(&even, 0), kneedle(&levels));
+    let (chord, gains, over) = (chord(&levels, scale), gains(observations), resampling.over());
+    Ok(Elbow { broken_stick, without_largest, any_decay, kneedle, chord, votes, gains, verdict, over })
 }
 
 /// Returns the answer with the most votes. Ties: no elbow first, then the smallest M. `votes`: M and share; `none`: share for
@@ -300,10 +292,8 @@ fn kneedle(levels: &[Level]) -> Option<f64> {
     if most <= least {
         return None;
     }
-    let distances: Vec<f64> = levels
-        .iter()
-        .map(|l| (most - l.mean) / (most - least) - (l.at - first.at) / (last.at - first.at))
-        .collect();
+    let distance = |l: &Level| (most - l.mean) / (most - least) - (l.at - first.at) / (last.at - first.at);
+    let distances: Vec<f64> = levels.iter().map(distance).collect();
     let step = 1.0 / (levels.len() - 1) as f64;
     let mut candidate: Option<usize> = None;
     for i in 1..levels.len() {
@@ -350,11 +340,8 @@ pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
         let logs: Vec<[f64; 2]> =
             cells.iter().map(|cell| pair(cell).map_or([0.0; 2], |l| [1.0, l])).collect();
         let found = Ratio::weighed(&resampling, &logs, 0);
-        Gain {
-            from: grid.places[from],
-            ratio: found.as_ref().map_or(f64::NAN, |found| found.ratio),
-            interval: found.and_then(|found| found.interval),
-        }
+        let (ratio, interval) = found.map_or((f64::NAN, None), |found| (found.ratio, found.interval));
+        Gain { from: grid.places[from], ratio, interval }
     };
     (0..grid.places.len().saturating_sub(1)).map(gain).collect()
 }

@@ -195,10 +195,8 @@ impl Forecast {
         let mut workers: Vec<f64> = self.running.keys().map(|trial| self.left(*trial, ratios, now)).collect();
         workers.resize(self.workers.max(workers.len()), 0.0);
         let waiting = self.trials.iter().zip(0..).filter(|(planned, _)| planned.open);
-        let waiting: Vec<f64> = waiting
-            .filter(|(_, trial)| !self.running.contains_key(trial))
-            .map(|(_, trial)| self.left(trial, ratios, now))
-            .collect();
+        let waiting = waiting.filter(|(_, trial)| !self.running.contains_key(trial));
+        let waiting: Vec<f64> = waiting.map(|(_, trial)| self.left(trial, ratios, now)).collect();
         if waiting.len() > ONE_BY_ONE {
             let all = workers.iter().chain(&waiting).sum::<f64>() / workers.len() as f64;
             return Duration::try_from_secs_f64(all).ok();

@@ -78,17 +78,11 @@ pub fn is_linear(trial: &Trial) -> bool {
 pub fn brains_by_trial(trials: &[&Trial]) -> Vec<[String; 2]> {
     let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();
     let mut of = |trial: &&Trial| {
-        let own = trial
-            .setting
-            .own()
-            .keys()
-            .any(|path| path.starts_with("brain.") || path.starts_with("optimise."));
-        match own {
+        let names_brain = |path: &String| path.starts_with("brain.") || path.starts_with("optimise.");
+        let shared = known.entry(Arc::as_ptr(trial.setting.shared()));
+        match trial.setting.own().keys().any(names_brain) {
             true => brains(&trial.setting),
-            false => known
-                .entry(Arc::as_ptr(trial.setting.shared()))
-                .or_insert_with(|| brains(&trial.setting))
-                .clone(),
+            false => shared.or_insert_with(|| brains(&trial.setting)).clone(),
         }
     };
     trials.iter().map(&mut of).collect()
@@ -96,11 +90,8 @@ pub fn brains_by_trial(trials: &[&Trial]) -> Vec<[String; 2]> {
 
 /// Returns `[brain]` of the trial's spec.
 fn parse_brain(setting: &Setting) -> Brain {
-    let keys = setting
-        .leaves()
-        .into_iter()
-        .filter_map(|(path, value)| Some((path.strip_prefix("brain.")?.to_owned(), value.clone())));
-    serde_json::from_value(Value::Object(keys.collect())).unwrap_or_default()
+    let key = |(path, value): (&str, &Value)| Some((path.strip_prefix("brain.")?.to_owned(), value.clone()));
+    serde_json::from_value(setting.leaves().into_iter().filter_map(key).collect()).unwrap_or_default()
 }
 
 /// Returns the memory of the trial's own decoder before and after an instant (s).

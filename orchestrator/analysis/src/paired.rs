@@ -67,15 +67,10 @@ impl Ratio {
         logarithm: impl Fn(&[f64]) -> Option<f64>,
     ) -> Option<Self> {
         let judged = units.judged(&logarithm);
-        Some(Self {
-            trials,
-            above_one,
-            ratio: logarithm(&units.equal_weights())?.exp(),
-            interval: judged.map(|j| j.interval.map(f64::exp)),
-            p_value: judged.map(|j| j.chance),
-            detectable: judged.map(|j| j.tells.exp()),
-            over: units.over(),
-        })
+        let ratio = logarithm(&units.equal_weights())?.exp();
+        let interval = judged.map(|j| j.interval.map(f64::exp));
+        let (p_value, detectable) = judged.map(|j| (j.chance, j.tells.exp())).unzip();
+        Some(Self { trials, above_one, ratio, interval, p_value, detectable, over: units.over() })
     }
 }
 

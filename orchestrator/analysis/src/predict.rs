@@ -72,13 +72,8 @@ fn hyper(at: &[usize]) -> Hyper {
 impl Hyper {
     /// Prior covariance of two trials at two levels, without observation noise.
     fn covariance(&self, x: &[&Setting], (i, l): (usize, usize), (j, m): (usize, usize)) -> f64 {
-        let distance: f64 = x[i]
-            .place
-            .iter()
-            .zip(&x[j].place)
-            .zip(&self.lengths)
-            .map(|((a, b), length)| ((a - b) / length).powi(2))
-            .sum();
+        let apart = x[i].place.iter().zip(&x[j].place).map(|(a, b)| a - b);
+        let distance: f64 = apart.zip(&self.lengths).map(|(apart, length)| (apart / length).powi(2)).sum();
         let setting = self.amplitude.powi(2) * (-0.5 * distance).exp();
         let own = if i == j { self.own.powi(2) } else { 0.0 };
         let placed = if x[i].sensors == x[j].sensors { self.placed.powi(2) } else { 0.0 };
@@ -143,21 +138,15 @@ impl Prediction {
         let mut draw = Draw::numbered(7, 0);
         let z = DMatrix::from_fn(x.len(), DRAWS, |_, _| draw.normal());
         // if rounding makes the covariance indefinite, trials are drawn independently
-        let root = covariance.cholesky().map_or_else(
-            || DMatrix::from_diagonal(&DVector::from_column_slice(&deviation)),
-            |factor| factor.unpack(),
-        );
+        let apart = || DMatrix::from_diagonal(&DVector::from_column_slice(&deviation));
+        let root = covariance.cholesky().map_or_else(apart, |factor| factor.unpack());
         let mut draws = root * z;
         for mut one in draws.column_iter_mut() {
             one += &mean;
             one.iter_mut().for_each(|y| *y += hyper.noise * draw.normal());
         }
-        Self {
-            draws,
-            mean: mean.iter().copied().collect(),
-            deviation,
-            kinship: hyper.kinship.powi(last as i32),
-        }
+        let kinship = hyper.kinship.powi(last as i32);
+        Self { draws, mean: mean.iter().copied().collect(), deviation, kinship }
     }
 
     /// Mean over the draws of a function of the ln errors of all results.

@@ -85,13 +85,9 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
         ]);
         Ratio::over(&units, &ratios)
     });
-    let errors = errors_of(&random, Body::Initial);
-    (ratios[0].is_some() && !errors.is_empty()).then(|| Random {
-        errors,
-        others: Body::ALL.map(|body| errors_of(&others, body)),
-        ratios,
-        trained: errors_of(&random, Body::Optimised),
-    })
+    let [errors, trained] = Body::ALL.map(|body| errors_of(&random, body));
+    let others = Body::ALL.map(|body| errors_of(&others, body));
+    (ratios[0].is_some() && !errors.is_empty()).then_some(Random { errors, others, ratios, trained })
 }
 
 #[cfg(test)]

@@ -187,10 +187,8 @@ pub fn mean_seconds(trials: &[&Trial], parts: &[&'static str]) -> Vec<f64> {
 pub fn round_errors(histories: &[&[ErrorAtTime]]) -> Vec<f64> {
     let first = histories.iter().filter_map(|h| h.first()).map(|p| p.1).fold(0.0, f64::max);
     let last = histories.iter().filter_map(|h| h.last()).map(|p| p.1).fold(f64::INFINITY, f64::min);
-    let mut errors: Vec<f64> = (-3..6)
-        .flat_map(|power| [1.0, 1.5, 2.0, 3.0, 5.0, 7.0].map(|digit| digit * 10f64.powi(power)))
-        .filter(|e| (last..first).contains(e))
-        .collect();
+    let round = (-3..6).flat_map(|n| [1.0, 1.5, 2.0, 3.0, 5.0, 7.0].map(|digit| digit * 10f64.powi(n)));
+    let mut errors: Vec<f64> = round.filter(|e| (last..first).contains(e)).collect();
     errors.reverse();
     errors.truncate(6);
     errors

@@ -115,16 +115,11 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     let laws = units.jackknife(|weights| Some(fit(&sums, weights, reference, Some(&law))?.0));
     let of = |pick: fn(&Law) -> f64| laws.as_ref().and_then(|laws| laws.interval(pick));
     let freedom = observations.len().saturating_sub(3).max(1);
-    let mut scaling = Scaling {
-        law,
-        exponent: of(|l| l.exponent.ln()).map(|i| i.map(f64::exp)),
-        floor: of(|l| l.floor).map(|i| i.map(|c| c.max(0.0))),
-        held_out: held_out(observations, &clusters, &units, &law),
-        over: units.over(),
-        residual: (squares / freedom as f64).sqrt(),
-        not_identifiable: None,
-        laws,
-    };
+    let exponent = of(|l| l.exponent.ln()).map(|i| i.map(f64::exp));
+    let floor = of(|l| l.floor).map(|i| i.map(|c| c.max(0.0)));
+    let held_out = held_out(observations, &clusters, &units, &law);
+    let (over, residual, not_identifiable) = (units.over(), (squares / freedom as f64).sqrt(), None);
+    let mut scaling = Scaling { law, exponent, floor, held_out, over, residual, not_identifiable, laws };
     scaling.not_identifiable = doubt(&scaling, observations);
     Ok(scaling)
 }
@@ -173,9 +168,7 @@ fn doubt(found: &Scaling, observations: &[Observation]) -> Option<String> {
     if fall < LEAST_FALL * error + 1e-9 {
         return Some("the error does not fall significantly with N".into());
     }
-    let Some(interval) = found.exponent else {
-        return Some(found.over.clone());
-    };
+    let Some(interval) = found.exponent else { return Some(found.over.clone()) };
     let [least, most] = EXPONENTS;
     if interval.low <= 1.05 * least || interval.high >= 0.95 * most {
         return Some(format!(

@@ -38,14 +38,8 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Senso
     let share = first.filter(|_| !replicates.is_empty()).map(|(m, _)| {
         replicates.iter().filter(|r| r.is_some_and(|r| r <= m)).count() as f64 / replicates.len() as f64
     });
-    Some(SensorSaving {
-        most,
-        initial_error,
-        fewest: first.map(|f| f.0),
-        optimised_error: first.map(|f| f.1),
-        share,
-        over: units.over(),
-    })
+    let (fewest, optimised_error) = first.unzip();
+    Some(SensorSaving { most, initial_error, fewest, optimised_error, share, over: units.over() })
 }
 
 /// Spread of the error over placements, at equal M and seed.
@@ -75,11 +69,8 @@ pub fn spread(observations: &[Observation]) -> Option<Spread> {
             errors.iter().copied().fold(0.0, f64::max) / errors.iter().copied().fold(f64::INFINITY, f64::min),
         );
     }
-    (freedom > 0).then(|| Spread {
-        placements,
-        deviation: (squares / freedom as f64).sqrt(),
-        ratio: geometric_mean(&ratios),
-    })
+    let deviation = (squares / freedom as f64).sqrt();
+    (freedom > 0).then(|| Spread { placements, deviation, ratio: geometric_mean(&ratios) })
 }
 
 #[cfg(test)]

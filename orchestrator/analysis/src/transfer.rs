@@ -63,12 +63,9 @@ impl Setting<'_> {
         let kept =
             |of: fn(&UnderReading) -> Option<f64>| trained.then(|| self.kept(body, under, of)).flatten();
         let [means, medians] = [kept(|read| Some(read.error)), kept(|read| read.median)];
-        Some(TransferErrors {
-            own: mean(true)?,
-            carried: trained.then(|| mean(false)).flatten(),
-            kept: means,
-            note: KeptGain::disagreement(means, medians),
-        })
+        let carried = trained.then(|| mean(false)).flatten();
+        let note = KeptGain::disagreement(means, medians);
+        Some(TransferErrors { own: mean(true)?, carried, kept: means, note })
     }
 
     /// Returns the kind of forces with the smallest kept fraction, and this fraction.

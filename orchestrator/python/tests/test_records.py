@@ -148,6 +148,14 @@ def test_columns_are_chosen_in_any_language_or_by_number(truth, tmp_path):
     assert [note.split()[0] for note in notes] == ["force_unit", "acceleration_unit", "angular_velocity_unit"]
 
 
+def test_an_offset_of_the_force_is_noted(truth, tmp_path):
+    for level, count in [(0.0, 0), (0.3, 1)]:
+        (tmp_path / "a.csv").write_text(table({**truth, "f": truth["f"] + level}))
+        toml, notes = convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK)
+        assert sum("set remove_offset = true below [recorded] in r.toml" in note for note in notes) == count, notes
+        assert np.array_equal(loaded(toml)[0]["force"][0], truth["f"] + level)
+
+
 def test_a_line_of_units_below_the_names_is_read(truth, tmp_path):
     lines = table(truth, ";").splitlines()
     (tmp_path / "a.csv").write_text("\n".join([lines[0], "(s);(N);(m/s²);(m/s²);(rad/s)", *lines[1:]]))
@@ -230,6 +238,8 @@ REFUSED = {
     "no table": (lambda _: "nothing\nhere\n", {}, "contains no table .* pass delimiter, decimal, skip or comment"),
     "no clock": (lambda text: text, {"time": None}, r"pass time \(a column\) or rate"),
     "force as signal": (lambda text: text, {"signals": ["f", "ax", "ay"]}, "'f' is chosen as force and as signal"),
+    "signal twice": (lambda text: text, {"signals": ["ax", 2, "w"]}, "'ax' is read twice"),
+    "force twice": (lambda text: text, {"force": ["f", "f"]}, "'f' is read twice"),
     "never": (lambda text: text, {"trigger": 7.0, "length": 0.1}, "trigger = 7.0: the force never reaches it; its peak"),
     "unit": (lambda text: text, {"force_unit": "lbf"}, "force_unit = 'lbf': must be one of N, mN, kN"),
     "nothing": (lambda _: "", {}, "a.csv: is empty"),

@@ -227,12 +227,8 @@ fn panels_and_sensors(sketch: &Sketch, numbers: Numbers) -> Markup {
 fn turning(sense: f64, [x, y]: Point, pitch: f64) -> (String, String) {
     let r = 0.36 * pitch;
     let at = |along: f64, aside: f64| format!("{:.2},{:.2}", x + sense * aside * pitch, y + along * pitch);
-    let shaft = format!(
-        "M{:.2} {y:.2}A{r:.2} {r:.2} 0 1 {} {x:.2} {:.2}",
-        x - sense * r,
-        if sense > 0.0 { 0 } else { 1 },
-        y - r
-    );
+    let (from, sweep, top) = (x - sense * r, if sense > 0.0 { 0 } else { 1 }, y - r);
+    let shaft = format!("M{from:.2} {y:.2}A{r:.2} {r:.2} 0 1 {sweep} {x:.2} {top:.2}");
     (shaft, [at(-0.5, 0.05), at(-0.22, 0.05), at(-0.36, -0.25)].join(" "))
 }
 

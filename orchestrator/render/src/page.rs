@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display, Formatter, Write};
 
-use maud::{DOCTYPE, Markup, PreEscaped, Render, html};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::Value;
 
 use super::number::number;
@@ -176,12 +176,6 @@ impl Display for Encoded<'_> {
             true => f.write_char(byte as char),
             false => write!(f, "%{byte:02X}"),
         })
-    }
-}
-
-impl Render for Encoded<'_> {
-    fn render_to(&self, page: &mut String) {
-        write!(page, "{self}").expect("memory takes all");
     }
 }
 

@@ -141,10 +141,8 @@ fn write<R: AsRef<[Vec<Value>]>>(
     }
     let fields = columns.iter().zip(&kinds).map(|(name, kind)| kind.column(name));
     let schema = Type::group_type_builder("rows").with_fields(fields.collect::<Result<_, _>>()?).build()?;
-    let properties = WriterProperties::builder()
-        .set_created_by("metasense".into())
-        .set_dictionary_enabled(false)
-        .set_statistics_enabled(EnabledStatistics::None);
+    let properties = WriterProperties::builder().set_created_by("metasense".into());
+    let properties = properties.set_dictionary_enabled(false).set_statistics_enabled(EnabledStatistics::None);
     let mut file = SerializedFileWriter::new(out, Arc::new(schema), Arc::new(properties.build()))?;
     for rows in groups {
         let rows = rows?;

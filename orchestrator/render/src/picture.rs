@@ -46,7 +46,7 @@ impl Picture {
 
 /// Height of a text line and width of a letter (px).
 const LINE: f64 = 17.0;
-const LETTER: f64 = 6.2;
+pub(super) const LETTER: f64 = 6.2;
 /// Width and height of a legend's mark (px).
 const MARK: [f64; 2] = [22.0, 10.0];
 

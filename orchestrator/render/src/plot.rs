@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::number::number;
-use super::picture::Picture;
+use super::picture::{LETTER, Picture};
 
 /// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,10 +99,8 @@ fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
         _ => &[1.0],
     };
     let powers = low.log10().floor() as i32..=high.log10().ceil() as i32;
-    powers
-        .flat_map(|p| digits.iter().map(move |d| d * 10f64.powi(p)))
-        .filter(|t| (low..=high).contains(t))
-        .collect()
+    let all = powers.flat_map(|p| digits.iter().map(move |d| d * 10f64.powi(p)));
+    all.filter(|t| (low..=high).contains(t)).collect()
 }
 
 /// A plot under construction.
@@ -118,8 +116,6 @@ pub struct Plot {
 
 /// Margins for labels: left, right, top, bottom (px).
 const MARGIN: [f64; 4] = [58.0, 12.0, 10.0, 40.0];
-/// Approximate width of a letter (px).
-const LETTER: f64 = 6.2;
 /// Least width of the axis beside notes (px): long notes widen the plot.
 const LEAST_AXIS: f64 = 240.0;
 

@@ -33,10 +33,8 @@ impl From<(Vec<String>, Vec<Vec<Value>>)> for Table {
 impl Table {
     /// Rows with columns of these names, separated by blanks.
     pub fn new(columns: &str, rows: impl IntoIterator<Item = Vec<Value>>) -> Self {
-        Self {
-            columns: columns.split_whitespace().map(str::to_owned).collect(),
-            rows: rows.into_iter().collect(),
-        }
+        let columns = columns.split_whitespace().map(str::to_owned).collect();
+        Self { columns, rows: rows.into_iter().collect() }
     }
 
     /// The value of `verdict`, if all rows have the same and NULL in all later columns.

@@ -58,11 +58,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let all = args.question.is_empty();
     if matches!(args.format, Format::Csv | Format::Parquet) && (all || args.question.len() > 1) {
-        return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
+        return usage!("CSV and Parquet hold one table: choose it with --question");
     }
     let rates_claims = [Question::Claims, Question::Evidence].iter().any(|q| args.question.contains(q));
     if args.out_dir.is_some() && !rates_claims {
-        return Err(Error::Usage("--out-dir: only for the claims; add --question claims".into()));
+        return usage!("--out-dir: only for the claims; add --question claims");
     }
     let sentences = all && args.format == Format::Table;
     let (trials, verdicts, caveats) = Reader::with_reader(Database::at(&args.db).await?, async |reader| {
@@ -172,11 +172,11 @@ async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Er
         second.display()
     );
     if found.pairs.is_empty() {
-        return Err(Error::Usage(format!(
+        return usage!(
             "--compare {}: no finished trial has a partner in {}: partners must agree in all keys that vary in either database",
             first.display(),
             second.display()
-        )));
+        );
     }
     if format == Format::Table {
         print_line!(

@@ -53,7 +53,7 @@ const MADE: &str = "SELECT version, code, revision, rustc, cpu, simd, threads, c
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { db, dir } = &args;
     if std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some()) || dir.is_file() {
-        return Err(Error::Usage(format!("{}: must be a new or an empty folder", dir.display())));
+        return usage!("{}: must be a new or an empty folder", dir.display());
     }
     let asked = async |reader: &mut Reader| {
         let story = load::story(reader, None, Terms::default()).await?;
@@ -61,7 +61,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let (story, made) = Reader::with_reader(Database::at(db).await?, asked).await?;
     if made.rows.is_empty() {
-        return Err(Error::Usage(format!("{} contains no finished trial", db.display())));
+        return usage!("{} contains no finished trial", db.display());
     }
     let names = file_names(story.sweeps.iter().map(|sweep| sweep.name.as_str()));
     let open = story.states.all - story.states.done - story.states.failed;

@@ -112,9 +112,9 @@ async fn bounds_and_errors(
     .await?;
     if trials.is_empty() {
         let (db, hash) = (db.display(), short_hash(hash));
-        return Err(Error::Usage(format!(
+        return usage!(
             "{db} contains no finished trial with the scene of {hash}; see `metasense status {db}`"
-        )));
+        );
     }
     // keyed by the bits of the design: the bound of equal bodies is computed once
     let mut bodies: BTreeMap<(usize, Vec<u64>), Vec<Vec<Value>>> = BTreeMap::new();
@@ -128,14 +128,8 @@ async fn bounds_and_errors(
                 bodies.insert(key.clone(), bounds(head.clone(), &of(&stored.specs[b], design)?));
             }
             let rows = bodies.get_mut(&key).expect("just put there");
-            for (by, error) in
-                [(brain.as_str(), &errors[2 * b]), ("linear, whole sample", &errors[2 * b + 1])]
-            {
-                let row: Vec<Value> = head
-                    .iter()
-                    .cloned()
-                    .chain([json!(by), json!("mean"), error.clone(), Value::Null])
-                    .collect();
+            for (by, error) in [&brain[..], "linear, whole sample"].into_iter().zip(&errors[2 * b..]) {
+                let row = [&head[..], &[json!(by), json!("mean"), error.clone(), Value::Null]].concat();
                 if !error.is_null() && !rows.contains(&row) {
                     rows.push(row);
                 }

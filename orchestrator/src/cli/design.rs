@@ -38,13 +38,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let space = space(&plan)?;
     let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
     let asked = Notify::new();
-    let how = RunConfig {
-        spec: &args.spec,
-        running: &args.running,
-        shard: None,
-        fixed: Some(FIXED),
-        asked: &asked,
-    };
+    let Args { spec, running, .. } = &args;
+    let how = RunConfig { spec, running, shard: None, fixed: Some(FIXED), asked: &asked };
     let (outcome, plan) = run(plan, &how, &db, &log::path(&db)?, &mut signals, async |round, again| {
         search(round, &space, again).await
     })

@@ -35,11 +35,7 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("svg")) {
         let named = args.out.with_extension("svg");
-        return Err(Error::Usage(format!(
-            "--out {}: a drawing is an SVG file; use {}",
-            args.out.display(),
-            named.display()
-        )));
+        return usage!("--out {}: a drawing is an SVG file; use {}", args.out.display(), named.display());
     }
     if let Some(spec) = args.trial.external().await? {
         let (initial, body) = external_body(&spec).map_err(|e| args.trial.refused(e))?;
@@ -60,16 +56,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let feasible = Feasible::new(&body.layout, body.limits, &[]);
     let violations = feasible.violations(&drawn);
     let active = feasible.active(&drawn);
-    let caption = format!(
-        "{} units, {} shifts: {}",
-        body.layout.units(),
-        body.layout.groups.count(),
-        match violations.is_empty() {
-            true if !body.limits.enforced => overlaps(&body.layout, &drawn).to_string(),
-            true => "feasible".to_owned(),
-            false => "not feasible".to_owned(),
-        }
-    );
+    let verdict = match violations.is_empty() {
+        true if !body.limits.enforced => overlaps(&body.layout, &drawn).to_string(),
+        true => "feasible".to_owned(),
+        false => "not feasible".to_owned(),
+    };
+    let (units, shifts) = (body.layout.units(), body.layout.groups.count());
+    let caption = format!("{units} units, {shifts} shifts: {verdict}");
     let finite = |x: f64| if x.is_finite() { x } else { 0.0 };
     let finite = |corners: Vec<[f64; 2]>| corners.into_iter().map(|c| c.map(finite)).collect();
     let units: Vec<Vec<[f64; 2]>> = body.layout.vertices(&drawn).into_iter().map(finite).collect();
@@ -91,17 +84,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let sketch = sketch(&drawing, &violations);
     let picture = sketch.picture(frame([&sketch]), &caption, Numbers::All);
-    let text = file(&[picture], 1, 640.0, &sketch.legend());
-    write(&args.out, text)?;
+    write(&args.out, file(&[picture], 1, 640.0, &sketch.legend()))?;
     if let Some(file) = &args.design_out {
         write(file, design::bytes(file, &body.layout, &drawn)?)?;
     }
-    print_line!(
-        "{}: {caption}, {} constraints at their limit, {} violated",
-        args.out.display(),
-        active.len(),
-        violations.len()
-    )?;
+    let (out, active, violated) = (args.out.display(), active.len(), violations.len());
+    print_line!("{out}: {caption}, {active} constraints at their limit, {violated} violated")?;
     for violation in &violations {
         print_line!("  {violation}")?;
     }

@@ -116,18 +116,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     for (option, files) in options {
         let before = |i: usize, name: &str| files[..i].iter().any(|(other, _)| other == name);
         if let Some((_, (name, _))) = files.iter().enumerate().find(|(i, (name, _))| before(*i, name)) {
-            return Err(Error::Usage(format!("{option} {name}: given twice; pass one file per body")));
+            return usage!("{option} {name}: given twice; pass one file per body");
         }
     }
     if let Some((name, file)) = args.design.iter().find(|(name, _)| designs.contains_key(name)) {
-        return Err(Error::Usage(format!(
+        return usage!(
             "--design {name}={}: {name} is the trial's own body; give the body another name, also in --records",
             file.display()
-        )));
+        );
     }
     for (name, file) in &args.design {
         if !args.records.iter().any(|(other, _)| other == name) {
-            return Err(Error::Usage(format!("--design {name}: pass --records {name}=FILE as well")));
+            return usage!("--design {name}: pass --records {name}=FILE as well");
         }
         let design = match specs[0].body.kind.is_polygons() {
             true => metasense_worker::design::read(file, &layout)?,
@@ -139,9 +139,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     for (name, file) in &args.twin {
         let known = designs.get(name).filter(|_| args.records.iter().any(|(other, _)| other == name));
         let Some(design) = known else {
-            return Err(Error::Usage(format!(
-                "--twin {name}: pass --records {name}=FILE of a body whose design is known"
-            )));
+            return usage!("--twin {name}: pass --records {name}=FILE of a body whose design is known");
         };
         twins.insert(name.clone(), twin::read(file, spec_of_body(&specs, name), design)?);
     }
@@ -215,9 +213,9 @@ fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
         Some(Brain::Inverse) => BrainKind::Inverse,
     };
     match args.folds {
-        Some(_) if brain == BrainKind::Inverse => Err(Error::Usage(
-            "--folds: has no effect on an inverse decoder, which is not trained on records".into(),
-        )),
+        Some(_) if brain == BrainKind::Inverse => {
+            usage!("--folds: has no effect on an inverse decoder, which is not trained on records")
+        }
         _ => Ok(brain),
     }
 }
@@ -241,23 +239,17 @@ fn compare(
     check_records(args, specs, brain, &records, designs)?;
     let fewest = records.iter().map(|of| of.measured.forces.samples).min().unwrap_or(0);
     let networks = matches!(brain, BrainKind::Cnn | BrainKind::Stacked);
-    let effort = Effort {
-        brain,
-        folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
-        seeds: if networks { trial.evaluation.networks() } else { 1 },
-        iterations: trial.brain.iterations,
-    };
+    let folds = args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize);
+    let seeds = if networks { trial.evaluation.networks() } else { 1 };
+    let effort = Effort { brain, folds, seeds, iterations: trial.brain.iterations };
     let inputs: Vec<_> = (records.iter())
         .map(|Records { name, measured: Measured { forces, signals, low_pass, .. }, .. }| {
             (name, forces.instants, &forces.values, signals, low_pass, designs.get(name))
         })
         .collect();
     let specs_of = specs.each_ref().map(|spec| serde_json::to_string(spec).expect("a trial is JSON"));
-    let (unfinished, kept) = Unfinished::new(
-        args.out_dir.as_deref(),
-        "evaluate",
-        &(specs_of, effort, inputs, format!("{twins:?}")),
-    )?;
+    let made_of = (specs_of, effort, inputs, format!("{twins:?}"));
+    let (unfinished, kept) = Unfinished::new(args.out_dir.as_deref(), "evaluate", &made_of)?;
     let modelled = |of: &Records| of.by == SignalSource::Measured && designs.contains_key(&of.name);
     let of_body = |of: &Records| match brain {
         BrainKind::Inverse => {
@@ -302,7 +294,7 @@ fn compare(
                     say!("{name}: the model cannot be simulated: {why}");
                     None
                 }
-                Err(e) => return Err(Error::Usage(format!("--design {name}: {e}"))),
+                Err(e) => return usage!("--design {name}: {e}"),
             },
         };
         let of_twin = |twin: &Twin| {
@@ -333,7 +325,7 @@ fn check_records(
     let single = |of: &&Records| brain != BrainKind::Inverse && of.measured.forces.samples < 2;
     if let Some(of) = records.iter().find(single) {
         let why = "contains one record: pass two or more, because each is predicted by a decoder fitted to the others";
-        return Err(Error::Usage(format!("{}: {why}", file(of))));
+        return usage!("{}: {why}", file(of));
     }
     let body = |of: &Records| designs.get(&of.name).map(|design| (spec_of_body(specs, &of.name), design));
     let samples = |of: &Records| of.measured.signals.len() / of.measured.forces.samples;
@@ -346,7 +338,7 @@ fn check_records(
             if let Some(record) = other.measured.signals.chunks(samples(other)).position(shared) {
                 let [own, other] = [of, other].map(file);
                 let why = "two bodies cannot have the same signals";
-                return Err(Error::Usage(format!("{own}: contains record {record} of {other}: {why}")));
+                return usage!("{own}: contains record {record} of {other}: {why}");
             }
         }
     }

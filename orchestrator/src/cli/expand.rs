@@ -75,11 +75,8 @@ fn say_bodies(trials: &[Trial]) {
     if let Some(why) = bodies.iter().find_map(|trial| impossible(&trial.spec)) {
         say!("warning: {why}");
     }
-    let grams: Vec<f64> = bodies
-        .iter()
-        .filter_map(|trial| Some(measures(&trial.spec).ok()?[0]))
-        .filter(|m| m.is_finite())
-        .collect();
+    let mass = |trial: &&Trial| Some(measures(&trial.spec).ok()?[0]).filter(|m| m.is_finite());
+    let grams: Vec<f64> = bodies.iter().filter_map(mass).collect();
     // a body without small motions about rest has none
     let found: Vec<(&Trial, Natural)> =
         bodies.iter().filter_map(|trial| Some((*trial, natural_frequencies(&trial.spec).ok()?))).collect();
@@ -91,17 +88,14 @@ fn say_bodies(trials: &[Trial]) {
     if grams.is_empty() {
         return;
     }
-    let value_range = |value: fn(&Natural) -> f64| {
-        range(&found.iter().map(|(_, value_range)| value(value_range)).collect::<Vec<_>>())
-    };
+    let of: [fn(&Natural) -> f64; 3] = [|found| found.first, |found| found.damping, |found| found.highest];
+    let ranges = of.map(|of| range(&found.iter().map(|(_, natural)| of(natural)).collect::<Vec<_>>()));
+    let [first, damping, highest] = ranges;
     let frequencies = match found.is_empty() {
         true => String::new(),
-        false => format!(
-            ", first natural frequency {} Hz (damping ratio {}), highest {} Hz",
-            value_range(|natural| natural.first),
-            value_range(|natural| natural.damping),
-            value_range(|natural| natural.highest)
-        ),
+        false => {
+            format!(", first natural frequency {first} Hz (damping ratio {damping}), highest {highest} Hz")
+        }
     };
     let some = if bodies.len() == BODIES { format!(" (the first {BODIES} bodies)") } else { String::new() };
     say!("mass of a body {} g{frequencies}{some}", range(&grams));
@@ -113,21 +107,15 @@ fn say_bodies(trials: &[Trial]) {
         .iter()
         .find(|(trial, Natural { first, .. })| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
     {
-        say!(
-            "warning: at {} Hz the slowest mode makes {} oscillations in a sample of {} s: {check}",
-            number(*first),
-            number(first * trial.spec.time.duration),
-            trial.spec.time.duration
-        );
+        let s = trial.spec.time.duration;
+        let [hz, count] = [*first, first * s].map(number);
+        say!("warning: at {hz} Hz the slowest mode makes {count} oscillations in a sample of {s} s: {check}");
     }
     let rate = |trial: &Trial| trial.spec.time.samples as f64 / trial.spec.time.duration;
-    if let Some((trial, Natural { first, .. })) =
-        found.iter().find(|(trial, value_range)| value_range.first > rate(trial))
-    {
+    if let Some((trial, natural)) = found.iter().find(|(trial, natural)| natural.first > rate(trial)) {
+        let [hz, rate] = [natural.first, rate(trial)].map(number);
         say!(
-            "warning: even the slowest mode, {} Hz, is faster than the signals' {} samples per second: {check}",
-            number(*first),
-            number(rate(trial))
+            "warning: even the slowest mode, {hz} Hz, is faster than the signals' {rate} samples per second: {check}"
         );
     }
 }

@@ -136,18 +136,16 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some((name, _, forms)) = options.iter().find(|(_, given, forms)| *given && !has(forms)) {
         let name_of = |form: &Form| form.to_possible_value().expect("none is hidden").get_name().to_owned();
         let forms = forms.iter().map(name_of).collect::<Vec<_>>().join(", ");
-        return Err(Error::Usage(format!("--{name}: only for --format {forms} and device; leave it out")));
+        return usage!("--{name}: only for --format {forms} and device; leave it out");
     }
     if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
         let format = match args.format {
             Form::Csv => Format::Csv,
             Form::Parquet => Format::Parquet,
-            _ => return Err(Error::Usage(format!("{what} is a view: use --format csv or parquet"))),
+            _ => return usage!("{what} is a view: use --format csv or parquet"),
         };
         if words.len() > 1 {
-            return Err(Error::Usage(format!(
-                "{what} is a view of all trials: leave out the options of single trials"
-            )));
+            return usage!("{what} is a view of all trials: leave out the options of single trials");
         }
         let db = if named.is_database() { source.clone() } else { named.plan()?.default_database() };
         let sql = format!("SELECT * FROM {what}");
@@ -180,10 +178,9 @@ fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
         Form::Svg => picture(stored, body, &cast()?, args),
         Form::C => source_in_c(stored, args)?,
         Form::Onnx if !estimates_forces(stored) => {
-            return Err(Error::Usage(
+            return usage!(
                 "--format onnx: writes decoders of forces; this trial reads out brain.task: use --format c"
-                    .into(),
-            ));
+            );
         }
         Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,
         Form::Dxf => {
@@ -268,7 +265,7 @@ fn brain(stored: &StoredTrial, args: &Args) -> Result<(Replay, ReplayDecoder), E
     }
     let fit = args.reader.unwrap_or(Fit::Design);
     if fit == Fit::Casts && stored.specs[which].variation.is_none() {
-        return Err(Error::Usage(format!("--reader casts: the trial has {NO_VARIATION}")));
+        return usage!("--reader casts: the trial has {NO_VARIATION}");
     }
     Ok(brain_of(stored, which, fit, cores())?)
 }
@@ -284,7 +281,7 @@ fn source_in_c(stored: &StoredTrial, args: &Args) -> Result<Vec<u8>, Error> {
         return encode_c(stored, args, &brain(stored, args)?);
     }
     if args.reader == Some(Fit::Casts) {
-        return Err(Error::Usage(format!("--reader casts: the trial has {NO_VARIATION}")));
+        return usage!("--reader casts: the trial has {NO_VARIATION}");
     }
     let numbers = args.numbers.unwrap_or(Numbers::F32);
     Ok(device::readout::c(stored, args.design as usize, numbers, cores())?.into_bytes())

@@ -49,11 +49,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             }
         }
     }
-    say!(
-        "{} {}",
-        counted(found.len(), "file"),
-        if args.yes { "removed" } else { "would be removed; pass --yes to remove them" }
-    );
+    let done = if args.yes { "removed" } else { "would be removed; pass --yes to remove them" };
+    say!("{} {done}", counted(found.len(), "file"));
     Ok(Exit::Done)
 }
 

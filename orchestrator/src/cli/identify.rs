@@ -75,7 +75,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let free: Vec<Parameter> =
         args.fit.iter().filter_map(|&f| Parameter::ALL.get(f as usize)).copied().collect();
     if !free.is_empty() && free.len() < args.fit.len() {
-        return Err(Error::Usage("--fit variation: must stand alone; leave out the other parameters".into()));
+        return usage!("--fit variation: must stand alone; leave out the other parameters");
     }
     let started_at = Instant::now();
     let bar = ProgressBar::new_spinner();
@@ -295,10 +295,8 @@ fn fit_messages(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize
         ),
     ];
     if fit.twin.misfit.is_finite() && fit.twin.misfit != 1.0 {
-        said.push(format!(
-            "the residual of the signals is {:.2} times the noise of the chips",
-            fit.twin.misfit
-        ));
+        let misfit = fit.twin.misfit;
+        said.push(format!("the residual of the signals is {misfit:.2} times the noise of the chips"));
     }
     if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= MISFIT_MIN)
     {

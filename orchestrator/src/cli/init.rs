@@ -1,7 +1,7 @@
 //! `init`: writes a commented spec to start from.
 
 use std::fs::OpenOptions;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
 use clap::ValueEnum;
@@ -54,18 +54,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let file = args.file.unwrap_or_else(|| format!("{}.toml", template.get_name()).into());
     let name = file.file_stem().unwrap_or_default().to_string_lossy();
     if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
-        return Err(Error::Usage(format!(
-            "{}: the file's name becomes the name of the sweep: use letters, digits, - and _",
-            file.display()
-        )));
+        let file = file.display();
+        return usage!("{file}: the file's name becomes the name of the sweep: use letters, digits, - and _");
     }
-    let text = args.template.text().replacen(
-        &format!("name = \"{}\"", template.get_name()),
-        &format!("name = \"{name}\""),
-        1,
-    );
-    let mut made =
-        OpenOptions::new().write(true).create_new(true).open(&file).map_err(Error::io("writing", &file))?;
+    let [old, new] = [template.get_name(), &*name].map(|name| format!("name = \"{name}\""));
+    let text = args.template.text().replacen(&old, &new, 1);
+    let made = OpenOptions::new().write(true).create_new(true).open(&file);
+    let mut made = made.map_err(|e| match e.kind() {
+        ErrorKind::AlreadyExists => {
+            Error::Usage(format!("{}: exists already; remove it, or pass another FILE.toml", file.display()))
+        }
+        _ => Error::io("writing", &file)(e),
+    })?;
     made.write_all(text.as_bytes()).map_err(Error::io("writing", &file))?;
     print_line!("{}", file.display())?;
     Ok(Exit::Done)

@@ -89,13 +89,10 @@ impl Watch for Live<'_> {
             Some(false) => String::new(),
             _ => percent(&result.initial) + " -> ",
         };
-        self.say(&format!(
-            "done: {}: held-out error {before}{}",
-            self.trial_label(trial),
-            percent(&result.optimised)
-        ));
+        let (label, after) = (self.trial_label(trial), percent(&result.optimised));
+        self.say(&format!("done: {label}: held-out error {before}{after}"));
         if let Some(caveat) = provenance::unresolved(&result.solver) {
-            self.say(&format!("warning: {}: {caveat}", self.trial_label(trial)));
+            self.say(&format!("warning: {label}: {caveat}"));
         }
     }
 
@@ -112,10 +109,8 @@ impl Watch for Live<'_> {
     }
 
     fn begins_anew(&mut self, trial: &Trial, why: &str) {
-        self.say(&format!(
-            "restarting, because the checkpoint cannot be used: {}: {why}",
-            self.trial_label(trial)
-        ));
+        let label = self.trial_label(trial);
+        self.say(&format!("restarting, because the checkpoint cannot be used: {label}: {why}"));
     }
 
     fn warned(&mut self, text: &str) {
@@ -155,14 +150,10 @@ impl Watch for Live<'_> {
         let to_go =
             eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
         let paused = if view.paused { "paused, " } else { "" };
-        let message = format!(
-            "{paused}{} of {}, {} of {} busy, {}, {to_go}",
-            view.settled(),
-            counted(view.total, "trial"),
-            view.busy,
-            counted(view.workers as usize, "worker"),
-            counted(view.steps as usize, "step"),
-        );
+        let (settled, busy, trials) = (view.settled(), view.busy, counted(view.total, "trial"));
+        let workers = counted(view.workers as usize, "worker");
+        let steps = counted(view.steps as usize, "step");
+        let message = format!("{paused}{settled} of {trials}, {busy} of {workers} busy, {steps}, {to_go}");
         match &self.bar {
             Some(bar) => {
                 bar.set_position((part * BAR as f64) as u64);

@@ -18,10 +18,10 @@ const FILTER: &str = "METASENSE_LOG";
 /// If the log would be the database itself.
 pub fn path(database: &Path) -> Result<PathBuf, Error> {
     match database.extension().is_some_and(|ending| ending == "log") {
-        true => Err(Error::Usage(format!(
+        true => usage!(
             "--db {}: the log of the run would be this file; use another extension for the database",
             database.display()
-        ))),
+        ),
         false => Ok(database.with_extension("log")),
     }
 }

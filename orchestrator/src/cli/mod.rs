@@ -69,9 +69,10 @@ use crate::plan::Plan;
 use crate::signals::ignores_hangup;
 use metasense_worker::{limits, process};
 
-pub use crate::look::{Format, print_rows};
-use crate::look::{duration, screen};
+pub use crate::look::Format;
+use crate::look::{Table, duration, screen};
 pub use error::Error;
+pub use say::unless_closed;
 
 /// Maximum width of help texts (columns).
 const WIDEST: usize = 100;
@@ -198,12 +199,12 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let words: Vec<&str> = args.iter().skip(1).take(2).map_while(|word| word.to_str()).collect();
     let names = [words.first().map(|name| (*name).to_owned()), Some(words.join(" "))];
     if let Some((new, old)) = names.into_iter().flatten().find_map(|old| Some((renamed(&old)?, old))) {
-        return Err(Error::Usage(format!("`metasense {old}` is now `metasense {new}`")));
+        return usage!("`metasense {old}` is now `metasense {new}`");
     }
     let command = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).color(colour());
     let matches = command.get_matches_from(args);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
-    refuse_overwriting_inputs(&matches)?;
+    check_outputs(&matches)?;
     process::keep_memory();
     limits::raise_limits();
     match cli.command {
@@ -212,16 +213,17 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     }
 }
 
-/// Refuses to write a file that the same command line reads; `merge` may, because it keeps the contents of its result.
+/// Refuses output files that cannot be written, before a long computation, and those that the same command line reads; `merge` may
+/// read its result, because it keeps the contents.
 ///
 /// # Errors
-/// If an output file is also an input file.
-fn refuse_overwriting_inputs(matches: &ArgMatches) -> Result<(), Error> {
+/// If an output file is a folder or lacks one, or is also an input file, or an output folder is a file.
+fn check_outputs(matches: &ArgMatches) -> Result<(), Error> {
     let Some((name, matches)) = matches.subcommand().filter(|(name, _)| *name != "merge") else {
         return Ok(());
     };
     if matches.subcommand().is_some() {
-        return refuse_overwriting_inputs(matches);
+        return check_outputs(matches);
     }
     let named = |id: &str| matches.try_get_raw(id).ok().flatten().into_iter().flatten();
     let inode = |path: &OsStr| {
@@ -229,22 +231,41 @@ fn refuse_overwriting_inputs(matches: &ArgMatches) -> Result<(), Error> {
         Some((file.dev(), file.ino()))
     };
     let written = ["out", "design_out"];
-    for out in written.into_iter().flat_map(named) {
+    if let Some(folder) = named("out_dir").map(Path::new).find(|folder| folder.exists() && !folder.is_dir()) {
+        let folder = folder.display();
+        return Err(Error::Usage(format!("--out-dir {folder}: is not a folder; choose another name")));
+    }
+    // `submit` merges into its file and creates the folder; a device is a folder
+    let is_file = name != "submit" && !named("format").any(|format| format == "device");
+    for (id, out) in written.into_iter().flat_map(|id| named(id).map(move |out| (id, out))) {
+        if is_file {
+            check_writable(id, Path::new(out))?;
+        }
         let read = matches.ids().map(clap::Id::as_str).filter(|id| !written.contains(id)).flat_map(named);
         if inode(out).is_some_and(|place| read.into_iter().any(|path| inode(path) == Some(place))) {
             let out = out.display();
-            return Err(Error::Usage(format!(
-                "{out}: `{name}` reads this file; choose another file to write"
-            )));
+            return usage!("{out}: `{name}` reads this file; choose another file to write");
         }
     }
     Ok(())
 }
 
+/// Checks that a file may lie at this path.
+fn check_writable(id: &str, file: &Path) -> Result<(), Error> {
+    let folder = crate::files::folder(file);
+    let why = match folder.is_dir() {
+        _ if file.is_dir() => "is a folder; pass a file".to_owned(),
+        true => return Ok(()),
+        false if folder.exists() => format!("{} is not a folder; choose another", folder.display()),
+        false => format!("the folder {} does not exist; create it", folder.display()),
+    };
+    Err(Error::Usage(format!("--{} {}: {why}", id.replace('_', "-"), file.display())))
+}
+
 /// The exit code of the program; prints an error.
 pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
     let exit = ended.unwrap_or_else(|e| match e.is_broken_pipe() {
-        // The program that reads our output has closed the pipe.
+        // The program that reads our output has closed the pipe of a command that only prints.
         true => Exit::Done,
         false => {
             e.say();
@@ -259,10 +280,8 @@ pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
 /// # Errors
 /// If the command fails, or if no runtime can be started.
 pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'static) -> Result<T, Error> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(Error::io("starting", "the runtime"))?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(Error::io("starting", "the runtime"))?;
     // Boxed: the runtime's loop is compiled once, not per command.
     let future: Pin<Box<dyn Future<Output = Result<T, Error>>>> = Box::pin(future);
     runtime.block_on(future)
@@ -321,6 +340,14 @@ fn cores() -> usize {
 /// If the file cannot be read or is not a spec.
 pub fn read_plan(file: &Path) -> Result<Plan, Error> {
     named::Spec { file: file.to_owned(), changes: Vec::new() }.plan()
+}
+
+/// Prints rows to standard output, see [`unless_closed`].
+///
+/// # Errors
+/// If standard output is full, or, for Parquet, a terminal.
+pub fn print_rows(table: &Table, format: Format) -> std::io::Result<()> {
+    unless_closed(crate::look::print_rows(table, format))
 }
 
 /// Writes a whole file.

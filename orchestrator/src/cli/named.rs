@@ -20,7 +20,7 @@ use crate::analysis;
 use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
 use crate::files;
-use crate::look::Table;
+use crate::look::{Table, short_hash};
 use crate::plan::{Plan, Trial, counted};
 use crate::reader::{Reader, StoredTrial, quoted};
 use crate::report::load::finished_trials;
@@ -33,6 +33,14 @@ pub(super) fn read_records(file: &Path, trial: &TrialSpec) -> Result<Measured, E
     Ok(measured)
 }
 
+/// Parses a word; refuses an empty one, which would name any trial.
+pub(super) fn word(text: &str) -> Result<String, String> {
+    match text.trim().is_empty() {
+        true => Err("is empty: set the variable in its place, or leave it out".into()),
+        false => Ok(text.to_owned()),
+    }
+}
+
 /// A spec with changes.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Spec {
@@ -41,7 +49,7 @@ pub(super) struct Spec {
     pub file: PathBuf,
     /// Values that replace those of the spec, in TOML syntax: optimise.iterations=20 sensors.noise=0.03 'sweep.seeds=[1,
     /// 2]'
-    #[arg(value_name = "KEY=VALUE")]
+    #[arg(value_name = "KEY=VALUE", value_parser = word)]
     pub changes: Vec<String>,
 }
 
@@ -50,9 +58,9 @@ impl Spec {
     pub fn source(&self) -> Result<Source, Error> {
         if files::is_database(&self.file) {
             let file = self.file.display();
-            return Err(Error::Usage(format!(
+            return usage!(
                 "{file} is a database; SPEC must be the .toml file of a sweep (metasense query {file} \"SELECT text FROM sweep\")"
-            )));
+            );
         }
         let text = std::fs::read_to_string(&self.file).map_err(Error::unreadable(&self.file))?;
         Ok(Source::spec(&self.file, text, &self.changes)?)
@@ -74,7 +82,7 @@ pub(super) struct Named {
     pub source: PathBuf,
     /// The trial, by its hash or the beginning of it (`metasense expand SPEC` lists the hashes; with SPEC, the first trial
     /// by default). After SPEC also values that replace those of the spec, as in `run`
-    #[arg(value_name = "HASH|KEY=VALUE")]
+    #[arg(value_name = "HASH|KEY=VALUE", value_parser = word)]
     pub words: Vec<String>,
 }
 
@@ -85,6 +93,7 @@ pub(super) struct Finished {
     #[arg(value_name = "DB")]
     db: PathBuf,
     /// One trial, by its hash or the beginning of it [default: all finished trials]
+    #[arg(value_parser = word)]
     hash: Option<String>,
     /// Format: a table of means, or rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
@@ -136,10 +145,7 @@ impl Database {
             return Ok(Self::File(path.to_owned()));
         }
         if attempts(path).is_empty() {
-            return Err(Error::Usage(format!(
-                "{} contains no database of a shard; pass a database in it",
-                path.display()
-            )));
+            return usage!("{} contains no database of a shard; pass a database in it", path.display());
         }
         let mut facts =
             Facts::for_folder(path).map_err(Error::io("making a folder in", std::env::temp_dir()))?;
@@ -198,12 +204,10 @@ impl Named {
         let mut words = self.words.iter().filter(|word| !word.contains('='));
         let asked = words.next().map(String::as_str);
         if database && self.words.iter().any(|word| word.contains('=')) {
-            return Err(Error::Usage(
-                "KEY=VALUE changes a spec; the trials of a database cannot be changed".into(),
-            ));
+            return usage!("KEY=VALUE changes a spec; the trials of a database cannot be changed");
         }
         match words.next() {
-            Some(_) => Err(Error::Usage("name one trial: SPEC HASH or DB HASH".into())),
+            Some(_) => usage!("name one trial: SPEC HASH or DB HASH"),
             None => Ok(asked),
         }
     }
@@ -240,12 +244,28 @@ impl Named {
         Ok((plan.default_database(), trial.hash))
     }
 
-    /// The stored trial; an error if it is not done.
+    /// The stored trial; an error with its state and reason if it is not done.
     pub async fn stored(&self) -> Result<StoredTrial, Error> {
         let (db, hash) = self.in_database()?;
         let db = Database::at(&db).await?;
-        let stored = Reader::with_reader(&db, async |reader| reader.stored(&hash).await).await?;
-        stored.ok_or_else(|| Error::Usage(format!("trial {hash} is not done yet")))
+        let asked = async |reader: &mut Reader| -> Result<_, Error> {
+            if let Some(stored) = reader.stored(&hash).await? {
+                return Ok(stored);
+            }
+            let hash = reader.hash_of(&hash).await?;
+            let sql = format!("SELECT state, reason FROM trial WHERE hash = {}", quoted(&hash));
+            let row = reader.query::<Table>(&sql).await?.rows.swap_remove(0);
+            let [state, reason] = [0, 1].map(|i| row[i].as_str().unwrap_or_default());
+            Err(Error::Usage(match state {
+                "failed" => format!(
+                    "trial {hash} failed: {reason}; `metasense run SPEC --retry-failed` resumes it (metasense status {} {})",
+                    self.source.display(),
+                    short_hash(&hash)
+                ),
+                _ => format!("trial {hash} is not done yet: {state}; `metasense run SPEC` finishes it"),
+            }))
+        };
+        Reader::with_reader(&db, asked).await
     }
 
     /// Hash and spec of the trial; by default the first of a spec.
@@ -353,7 +373,7 @@ impl Designed {
                 (hash, spec, None)
             }
             Design::Of(Which::Optimised) if !self.trial.is_database() => {
-                return Err(Error::Usage("--design optimised: name a finished trial by DB HASH".into()));
+                return usage!("--design optimised: name a finished trial by DB HASH");
             }
             Design::Of(Which::Optimised) => {
                 let StoredTrial { hash, specs: [_, spec], designs: [_, design], .. } =

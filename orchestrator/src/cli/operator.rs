@@ -58,8 +58,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         for row in reader.query::<Table>(sql).await?.rows {
             let hash = row[0].as_str().unwrap_or_default();
             let Some(stored) = reader.stored(hash).await? else { continue };
-            let mut measures = [[0.0; MEASURES.len()]; 2];
-            for (b, to) in measures.iter_mut().enumerate() {
+            let mut measured = [[0.0; MEASURES.len()]; 2];
+            for (b, to) in measured.iter_mut().enumerate() {
                 let found = operator_figures(&stored.specs[b], &stored.designs[b])
                     .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(hash))))?;
                 let OperatorFigures { error, rank, condition, bits, memory, modes } = found;
@@ -68,15 +68,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let whole = |i: usize| row[i].as_u64().unwrap_or_default();
             let cluster = Cluster { placement: whole(3), seed: whole(4) };
             let errors = [5, 6].map(|i| row[i].as_f64().unwrap_or_default());
-            let [brain, trained_with] = brains_of(&json!(stored.specs[1]));
-            let by = if brain == trained_with {
-                brain.clone()
-            } else {
-                format!("{trained_with}, decoder {brain}")
-            };
+            let [brain, trained] = brains_of(&json!(stored.specs[1]));
+            let by = if brain == trained { brain.clone() } else { format!("{trained}, decoder {brain}") };
             let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
-            let change = BodyPair { setting, cluster, errors, measured: measures };
-            let head = row[..5].iter().cloned().chain([json!(brain), json!(trained_with)]).collect();
+            let change = BodyPair { setting, cluster, errors, measured };
+            let head = [&row[..5], &row![brain, trained][..]].concat();
             seen.push(TrialMeasures { head, change });
         }
         Ok(seen)
@@ -84,7 +80,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     .await?;
     if seen.is_empty() {
         let db = args.db.display();
-        return Err(Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`")));
+        return usage!("{db} contains no finished trial; see `metasense status {db}`");
     }
     if args.rows {
         print_rows(&rows(&seen), args.format)?;
@@ -98,40 +94,24 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-fn rows(measured_trials: &[TrialMeasures]) -> Table {
+fn rows(seen: &[TrialMeasures]) -> Table {
     let columns = "hash panels sensors placement seed brain trained_with body error wiener_error distinguishable_forces condition bits memory modes";
-    let of = |measured_trials: &TrialMeasures, b: usize| {
+    let of = |TrialMeasures { head, change }: &TrialMeasures, b: usize| {
         let body = ["initial", "optimised"][b];
-        let own = measured_trials.change.measured[b].into_iter().flat_map(|measure| row![measure]);
-        measured_trials
-            .head
-            .iter()
-            .cloned()
-            .chain(row![body, measured_trials.change.errors[b]])
-            .chain(own)
-            .collect()
+        [head.clone(), row![body, change.errors[b]; change.measured[b]]].concat()
     };
-    Table::new(
-        columns,
-        measured_trials.iter().flat_map(|measured_trials| [of(measured_trials, 0), of(measured_trials, 1)]),
-    )
+    Table::new(columns, seen.iter().flat_map(|trial| [of(trial, 0), of(trial, 1)]))
 }
 
-/// Classes of dots and of their legend entries, per setting in turn.
-const CLASSES: [(&str, &str); 5] = [
-    ("optimised", "dot optimised"),
-    ("front", "dot front"),
-    ("fourth", "dot fourth"),
-    ("fifth", "dot fifth"),
-    ("initial", "dot initial"),
-];
+/// Classes of legend entries and, after the blank, of dots, per setting in turn.
+const CLASSES: [&str; 5] = ["dot optimised", "dot front", "dot fourth", "dot fifth", "dot initial"];
 
 /// Plots gains of the trials' decoders over gains of Wiener's filter.
-fn drawn(plotted_trials: &[TrialMeasures]) -> String {
+fn drawn(seen: &[TrialMeasures]) -> String {
     let gains = |TrialMeasures { change, .. }: &TrialMeasures| {
         (change.measured[0][0] / change.measured[1][0], change.errors[0] / change.errors[1])
     };
-    let points: Vec<(f64, f64)> = plotted_trials.iter().map(gains).collect();
+    let points: Vec<(f64, f64)> = seen.iter().map(gains).collect();
     let x = Axis::new("gain of Wiener's filter, small motions", Scale::Log, points.iter().map(|p| p.0));
     let y = Axis::new("gain of the trial's decoder, held-out set", Scale::Log, points.iter().map(|p| p.1));
     let mut plot = Plot::new("Gain from training: Wiener's filter and the trial's decoder", x, y);
@@ -140,22 +120,15 @@ fn drawn(plotted_trials: &[TrialMeasures]) -> String {
     plot.line("equal", [(low, low), (high, high)]);
     let text = |change: &BodyPair, (x, y): &(f64, f64)| {
         let Cluster { placement, seed } = change.cluster;
-        format!(
-            "{}, placement {placement}, seed {seed}: {} and {} times",
-            change.setting,
-            number(*x),
-            number(*y)
-        )
+        let (setting, x, y) = (&change.setting, number(*x), number(*y));
+        format!("{setting}, placement {placement}, seed {seed}: {x} and {y} times")
     };
-    let settings = distinct(plotted_trials.iter().map(|plotted_trials| &plotted_trials.change.setting));
+    let settings = distinct(seen.iter().map(|trial| &trial.change.setting));
     let mut key = Legend::default();
-    for (setting, (line, dot)) in settings.into_iter().zip(CLASSES.into_iter().cycle()) {
-        let own = plotted_trials
-            .iter()
-            .zip(&points)
-            .filter(|(plotted_trials, _)| plotted_trials.change.setting == *setting);
-        plot.dots(line, own.map(|(plotted_trials, point)| (*point, text(&plotted_trials.change, point))));
-        key.push((dot, setting.clone()));
+    for (setting, class) in settings.into_iter().zip(CLASSES.into_iter().cycle()) {
+        let own = seen.iter().zip(&points).filter(|(trial, _)| trial.change.setting == *setting);
+        plot.dots(&class["dot ".len()..], own.map(|(trial, point)| (*point, text(&trial.change, point))));
+        key.push((class, setting.clone()));
     }
     file(&[plot.picture()], 1, 480.0, &key)
 }

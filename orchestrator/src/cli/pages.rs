@@ -44,9 +44,9 @@ impl Pages {
         said.unwrap_or_else(|_| Err(std::io::ErrorKind::TimedOut.into())).map_err(&failed)?;
         if address.is_empty() {
             // the process has printed the reason
-            return Err(Error::Usage(format!(
+            return usage!(
                 "port {port} cannot be used: pass another with --serve=PORT, or --serve=0 for any free port"
-            )));
+            );
         }
         say!("pages, during the run (everyone who has the address can control the run): {}", address.trim());
         Ok(Self(child))

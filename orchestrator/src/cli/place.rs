@@ -40,11 +40,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let drawn = metasense_lab::replay::drawing(spec, design).map_err(|e| args.one.trial.failed(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = sketch(&Drawing { sensors, active: Vec::new(), ..drawn }, &[]);
-        let caption = format!(
-            "Error with a sensor on this unit only: {:.1} % (strong) … {:.1} % (pale)",
-            found.worth.first().map_or(0.0, |best| best.1),
-            found.worth.last().map_or(0.0, |worst| worst.1),
-        );
+        let ends = [found.worth.first(), found.worth.last()];
+        let [best, worst] = ends.map(|unit| unit.map_or(0.0, |(_, error)| *error));
+        let caption =
+            format!("Error with a sensor on this unit only: {best:.1} % (strong) … {worst:.1} % (pale)");
         // by rank: with outliers, shades by error would be nearly equal
         let shade = |u: usize| {
             let rank = found.worth.iter().position(|(unit, _)| *unit == u)?;
@@ -55,8 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         key.push(("speed", "rank of the error with a sensor on the unit".to_owned()));
         let unit = |u| Unit { class: shade(u), ..Unit::default() };
         let picture = drawn.drawn(frame([&drawn]), &caption, Numbers::All, unit);
-        let text = file(&[picture], 1, 640.0, &key);
-        write(out, text)?;
+        write(out, file(&[picture], 1, 640.0, &key))?;
         say!("written {}", out.display());
     }
     Ok(Exit::Done)

@@ -85,10 +85,9 @@ async fn answer(
     let columns = reader.columns(sql).await?;
     let twice = columns.iter().enumerate().find(|(i, name)| columns[..*i].contains(name));
     if let (Some((_, name)), Format::Json) = (twice, format) {
-        let why = format!(
+        return usage!(
             "two columns are named {name}, but a JSON object can contain only one: rename them with AS"
         );
-        return Err(Error::Usage(why));
     }
     let mut writer = RowWriter::new(out, format, &columns, screen)?;
     if format == Format::Parquet {
@@ -119,9 +118,8 @@ async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
         _ => text.to_owned(),
     };
     for (view, description) in VIEWS.iter() {
-        let columns: Table = reader
-            .query(&format!("SELECT group_concat(name, ', ') FROM pragma_table_info('{view}')"))
-            .await?;
+        let sql = format!("SELECT group_concat(name, ', ') FROM pragma_table_info('{view}')");
+        let columns: Table = reader.query(&sql).await?;
         let columns = columns.rows[0][0].as_str().unwrap_or_default();
         rows.push(vec![(*view).into(), wide(description, 40).into(), wide(columns, 60).into()]);
     }

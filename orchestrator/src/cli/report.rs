@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 
-use super::named::Database;
+use super::named::{Database, word};
 use super::{Error, cores, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
@@ -20,6 +20,7 @@ pub(super) struct Args {
     db: PathBuf,
     /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: the design of a
     /// search, else a typical trial]
+    #[arg(value_parser = word)]
     hash: Option<String>,
     /// File to write; by default beside the database
     #[arg(long, value_name = "FILE", help_heading = "Output")]

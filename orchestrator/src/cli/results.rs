@@ -69,11 +69,8 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
 /// SQL for the plan's trials. The sweep in the database may have more, if files that the spec names have changed.
 fn of_plan(columns: &str, plan: &Plan) -> String {
     let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
-    let hashes = serde_json::to_string(&hashes).expect("texts are JSON");
-    format!(
-        "SELECT {columns} FROM json_each({}) j JOIN trial t ON t.hash = j.value ORDER BY j.key",
-        quoted(&hashes)
-    )
+    let hashes = quoted(&serde_json::to_string(&hashes).expect("texts are JSON"));
+    format!("SELECT {columns} FROM json_each({hashes}) j JOIN trial t ON t.hash = j.value ORDER BY j.key")
 }
 
 /// Replaces the names of decoders by those that figures use.

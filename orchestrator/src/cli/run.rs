@@ -108,7 +108,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.running.simd.choose()?;
     let seconds = |name: &str, value: f64| match (1.0..=1e9).contains(&value) {
         true => Ok(Duration::from_secs_f64(value)),
-        false => Err(Error::Usage(format!("--{name} {value}: must be at least 1, at most 1e9 s"))),
+        false => usage!("--{name} {value}: must be at least 1, at most 1e9 s"),
     };
     let copy_every = seconds("copy-every", args.copy_every)?;
     let stop_after = args.stop_after.map(|s| seconds("stop-after", s)).transpose()?;
@@ -117,13 +117,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         end_after(time);
     }
     let (source, asked) = (args.spec.source()?, Notify::new());
-    let how = RunConfig {
-        spec: &args.spec,
-        running: &args.running,
-        shard: args.shard,
-        fixed: args.shard.map(|_| FIXED_SHARD),
-        asked: &asked,
-    };
+    let Args { spec, running, shard, .. } = &args;
+    let fixed = shard.map(|_| FIXED_SHARD);
+    let how = RunConfig { spec, running, shard: *shard, fixed, asked: &asked };
     let Some((shard, folder)) = args.shard.zip(args.folder.as_deref()) else {
         let mut plan = Plan::of(source)?;
         if args.shard.is_some() {
@@ -188,15 +184,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 /// Refuses [until] in single shards: its questions need all results in one database.
 pub(super) fn refuse_until(plan: &Plan) -> Result<(), Error> {
+    let why = "needs all results in one database: `metasense cluster submit` runs its shards and merges them";
     match plan.spec.until {
         None => Ok(()),
-        Some(_) => Err(plan
-            .source
-            .error(
-                "until",
-                "needs all results in one database: `metasense cluster submit` runs its shards and merges them",
-            )
-            .into()),
+        Some(_) => Err(plan.source.error("until", why).into()),
     }
 }
 
@@ -204,11 +195,11 @@ pub(super) fn refuse_until(plan: &Plan) -> Result<(), Error> {
 fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
     let submitted = folder.join(SUBMITTED_SPEC);
     match std::fs::read_to_string(&submitted) {
-        Ok(text) if text != source.text => Err(Error::Usage(format!(
+        Ok(text) if text != source.text => usage!(
             "{} has changed since its shards were submitted ({}): restore it, or submit again",
             source.file.display(),
             submitted.display()
-        ))),
+        ),
         _ => Ok(()),
     }
 }
@@ -386,11 +377,12 @@ impl Runs for Round<'_> {
             say!("stopped before the first trial; the same command starts the run");
             return Ok(Some(Outcome::Interrupted));
         };
+        let (ours, workers, threads) = (open.len(), options.settings.workers, options.threads);
         let planned = RunPlan {
             shard: shard.map_or((1, 1), |shard| (shard.index(), shard.count())),
-            workers: (options.settings.workers, options.threads),
-            trials: open.len(),
-            estimated_seconds: cost::seconds_on(&open, options.settings.workers, options.threads),
+            workers: (workers, threads),
+            trials: ours,
+            estimated_seconds: cost::seconds_on(&open, workers, threads),
         };
         if open.is_empty() {
             // A shard without work records a run, so that it does not count as missing.
@@ -403,13 +395,7 @@ impl Runs for Round<'_> {
         }
         log::start(log)?;
         let run = store.begin_run(&planned).await?;
-        let mut live = Live::new(
-            open.len(),
-            trials.len() - open.len(),
-            options.settings.workers,
-            asked,
-            plan.spec.sweep.keys(),
-        );
+        let mut live = Live::new(ours, trials.len() - ours, workers, asked, plan.spec.sweep.keys());
         let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {

@@ -9,11 +9,26 @@ macro_rules! say {
     }};
 }
 
-/// Prints a line on standard output; returns the result of `writeln!`.
+/// Prints a line on standard output; returns the result of `writeln!`, but ignores a closed pipe.
 #[macro_export]
 macro_rules! print_line {
     ($($line:tt)*) => {{
         use std::io::Write as _;
-        writeln!(std::io::stdout(), $($line)*)
+        $crate::cli::unless_closed(writeln!(std::io::stdout(), $($line)*))
     }};
+}
+
+/// Ignores that the reader of standard output has closed it: the command still writes its files and has its own exit code.
+///
+/// # Errors
+/// Any other failure of `printed`.
+pub fn unless_closed(printed: std::io::Result<()>) -> std::io::Result<()> {
+    printed.or_else(|e| if e.kind() == std::io::ErrorKind::BrokenPipe { Ok(()) } else { Err(e) })
+}
+
+/// The result of a command whose command line is invalid.
+macro_rules! usage {
+    ($($why:tt)*) => {
+        Err($crate::cli::Error::Usage(format!($($why)*)))
+    };
 }

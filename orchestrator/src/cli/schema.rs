@@ -1,7 +1,5 @@
 //! `schema`: the JSON schema of a spec file.
 
-use std::io::Write;
-
 use metasense_source::spec_schema;
 
 use super::Error;
@@ -13,6 +11,6 @@ pub(super) struct Args {}
 
 pub(super) async fn execute(_: Args) -> Result<Exit, Error> {
     let text = serde_json::to_string_pretty(&spec_schema()).expect("a schema is JSON");
-    writeln!(std::io::stdout().lock(), "{text}")?;
+    print_line!("{text}")?;
     Ok(Exit::Done)
 }

@@ -61,11 +61,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     // SAFETY: the call cannot fail and touches no memory.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
     // a runtime with several threads: reading a large database blocks one of them
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(THREADS)
-        .enable_all()
-        .build()
-        .map_err(Error::io("starting", "the runtime"))?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(THREADS).enable_all().build();
+    let runtime = runtime.map_err(Error::io("starting", "the runtime"))?;
     let served = std::thread::spawn(move || runtime.block_on(serve_until_stopped(args)));
     served.join().expect("no page panics")
 }
@@ -74,21 +71,21 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let mut signals = Signals::new()?;
     let paths: Vec<PathBuf> = args.what.iter().flat_map(|path| databases(path)).collect();
     if paths.is_empty() {
-        return Err(Error::Usage(format!(
+        return usage!(
             "no database in {}; `metasense run SPEC` creates one",
             args.what.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
-        )));
+        );
     }
     if let Some(missing) = args.what.iter().find(|path| !path.exists()) {
-        return Err(Error::Usage(format!("{}: no such database or folder", missing.display())));
+        return usage!("{}: no such database or folder", missing.display());
     }
     for path in args.what.iter().filter(|path| path.is_file()) {
         Reader::open(path).await?.close().await;
     }
     if args.control && !args.listen.ip().is_loopback() {
-        return Err(Error::Usage(
-            "--control: only for this machine's own address, because other connections are not encrypted; use ssh -L".into(),
-        ));
+        return usage!(
+            "--control: only for this machine's own address, because other connections are not encrypted; use ssh -L"
+        );
     }
     let address = Address::new(&args.proxy).map_err(Error::Usage)?;
     let failed = Error::io("listening at", args.listen.to_string());

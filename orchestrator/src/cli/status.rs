@@ -7,7 +7,7 @@ use metasense_schemas::reason::CANCELLED;
 use metasense_schemas::spec::Sweep;
 use serde_json::{Value, json};
 
-use super::named::{Database, Named};
+use super::named::{Database, Named, word};
 use super::point::point_in_words;
 use super::{Error, Format, print_rows};
 use crate::cluster::Assignment;
@@ -31,7 +31,7 @@ pub(super) struct Args {
     #[arg(value_name = "DB|SPEC", conflicts_with = "folder")]
     source: Option<PathBuf>,
     /// A trial, by its hash or the beginning of it; after SPEC also values that replace those of the spec, as in `run`
-    #[arg(value_name = "HASH|KEY=VALUE")]
+    #[arg(value_name = "HASH|KEY=VALUE", value_parser = word)]
     words: Vec<String>,
     /// After SPEC: the database, if it is not results/NAME.sqlite
     #[arg(long, value_name = "FILE", conflicts_with = "folder")]
@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let named = Named { source, words };
     let db = if named.is_database() {
         if db.is_some() {
-            return Err(Error::Usage("--db: only for a SPEC; pass a database as the first argument".into()));
+            return usage!("--db: only for a SPEC; pass a database as the first argument");
         }
         if let Some(hash) = named.hash_argument()? {
             return Reader::with_reader(Database::at(&named.source).await?, async |reader| {
@@ -133,7 +133,7 @@ async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error
     let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
     Reader::with_reader(db, async |reader| {
         let Some(nearest) = reader.nearest(&spec).await? else {
-            return Err(Error::Usage(format!("{} contains no trials", db.display())));
+            return usage!("{} contains no trials", db.display());
         };
         if nearest.hash == trial.hash {
             return print_trial(reader, &trial.hash, format).await;
@@ -153,19 +153,9 @@ async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error
 
 /// Prints the attempts at a trial, and the code of this program.
 async fn say_attempts(reader: &mut Reader, hash: &str) -> Result<(), Error> {
-    attempts(reader, hash).await?.iter().for_each(|line| say!("  {line}"));
-    let revision = provenance::revision().map_or(String::new(), |r| format!(" ({r})"));
-    say!("this program: code {}{revision}", provenance::code());
-    Ok(())
-}
-
-/// One line per attempt at a trial.
-async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error> {
-    let mut lines = Vec::new();
-    let named = quoted(hash);
-    let sql = format!("SELECT * FROM v_attempt WHERE hash = {named} ORDER BY attempt");
+    let sql = format!("SELECT * FROM v_attempt WHERE hash = {} ORDER BY attempt", quoted(hash));
     reader
-        .each(&sql, |row| {
+        .rows(&sql, |row| {
             let text = |column| Some(row.text(column)).filter(|text| !text.is_empty());
             let words = [
                 text("reason").map(|reason| format!(" ({reason})")),
@@ -180,11 +170,12 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
                 text("host").map(|host| format!(", on {host}")),
             ];
             let words: String = words.into_iter().flatten().collect();
-            lines.push(format!("attempt {}: {}{words}", row.count("attempt"), row.text("state")));
-            Ok::<_, Error>(())
+            say!("  attempt {}: {}{words}", row.count("attempt"), row.text("state"));
         })
         .await?;
-    Ok(lines)
+    let revision = provenance::revision().map_or(String::new(), |r| format!(" ({r})"));
+    say!("this program: code {}{revision}", provenance::code());
+    Ok(())
 }
 
 /// Prints the shards of a folder.
@@ -197,9 +188,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let queued = queue::ask(&mut jobs)?.shards;
     let Some(last) = jobs.last() else {
         let path = folder.display();
-        return Err(Error::Usage(format!(
-            "{path} contains no shards that `cluster submit` has submitted; pass their folder"
-        )));
+        return usage!("{path} contains no shards that `cluster submit` has submitted; pass their folder");
     };
     let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
     let states = state::states(&folder, &assignment, &queued).await;
@@ -226,12 +215,8 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let complete = states.iter().filter(|s| s.state == "complete").count();
     let (waiting, ended): (Vec<&State>, Vec<&State>) =
         states.iter().filter(|s| !s.is_settled()).partition(|s| queued.contains_key(&s.shard.index()));
-    say!(
-        "{}: {complete} of {} shards complete, {} in the queue",
-        folder.display(),
-        states.len(),
-        waiting.len()
-    );
+    let (path, all, waiting) = (folder.display(), states.len(), waiting.len());
+    say!("{path}: {complete} of {all} shards complete, {waiting} in the queue");
     if queue::is_held(&folder) {
         say!("`cluster submit` is running them now");
         return Ok(Exit::Done);
@@ -243,10 +228,8 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     super::merge::print_never_started(&never, "metasense cluster submit");
     let failed: usize = states.iter().map(|s| s.failures.len()).sum();
     if failed > 0 {
-        say!(
-            "{} failed: `metasense cluster submit` with --retry-failed resumes them",
-            counted(failed, "trial")
-        );
+        let trials = counted(failed, "trial");
+        say!("{trials} failed: `metasense cluster submit` with --retry-failed resumes them");
     }
     Ok(if failed > 0 { Exit::Failed } else { Exit::Done })
 }

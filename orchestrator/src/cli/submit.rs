@@ -109,11 +109,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     cost::first_trains(&mut plan.trials);
     let shards = match (args.shards, earlier_count) {
         (Some(asked), Some(earlier_count)) if asked != earlier_count => {
-            return Err(Error::Usage(format!(
+            return usage!(
                 "--shards {asked}: {} contains a sweep of {earlier_count} shards; leave --shards out to resume them, or merge them \
                  and choose another --folder",
                 folder.display()
-            )));
+            );
         }
         (asked, earlier_count) => asked.or(earlier_count).unwrap_or_else(|| match places.len() {
             0 if in_rounds => SHARDS_OF_ROUNDS,
@@ -154,11 +154,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let nothing = state.trials.is_none() && state.open.is_empty();
         nothing || unsettled(&state.open) || args.retry_failed && unsettled(&state.failures)
     };
-    let (queued, which): (Vec<u32>, Vec<u32>) = states
-        .iter()
-        .filter(has_work)
-        .map(|state| state.shard.index())
-        .partition(|shard| queue.shards.contains_key(shard));
+    let open = states.iter().filter(has_work).map(|state| state.shard.index());
+    let (queued, which): (Vec<u32>, Vec<u32>) = open.partition(|shard| queue.shards.contains_key(shard));
     if !queued.is_empty() {
         say!("skipped, because they are running or queued: shards {}", ranges(&queued));
     }
@@ -197,21 +194,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 /// Settled trials of a database, with whether they failed; empty if there is no database.
 async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
-    let mut settled = HashMap::new();
     if !out.metadata().is_ok_and(|file| file.len() > 0) {
-        return Ok(settled);
+        return Ok(HashMap::new());
     }
     let sql = "SELECT hash, state = 'failed' AS failed FROM trial WHERE state IN ('done', 'failed')";
-    Reader::with_reader(out, async |reader| {
-        reader
-            .each(sql, |row| {
-                settled.insert(row.text("hash").to_owned(), row.count("failed") > 0);
-                Ok::<_, Error>(())
-            })
-            .await
-    })
-    .await?;
-    Ok(settled)
+    let settled = Reader::with_reader(out, async |reader| {
+        reader.rows(sql, |row| (row.text("hash").to_owned(), row.count("failed") > 0)).await
+    });
+    Ok(settled.await?.into_iter().collect())
 }
 
 impl Args {
@@ -230,11 +220,14 @@ impl Args {
     fn submission(&self, plan: &Plan, shards: u32, program: &Program) -> Result<Submission, Error> {
         let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, self.cpus as usize) as u32;
         let absolute = |path: &Path| std::path::absolute(path).map_err(Error::io("finding", path));
-        let [for_shards, for_merge] = match self.further.iter().position(|word| word == "--") {
+        let further = match self.further.iter().position(|word| word == "--") {
             Some(at) => [&self.further[..at], &self.further[at + 1..]],
             None => [&self.further[..]; 2],
         };
+        let [for_shards, for_merge] = further.map(<[String]>::to_vec);
         let scheduler = self.scheduler.scheduler();
+        let most_index = scheduler.queue().map_or(Shard::MOST, QueueCommands::most_index);
+        let (cpus, seconds, grace) = (self.cpus, self.time.unwrap_or(LIMIT), plan.spec.run.grace);
         let again = self.retry_failed.then_some("--retry-failed");
         let folder = absolute(&self.folder(plan))?;
         let submission = Submission {
@@ -246,24 +239,13 @@ impl Args {
             folder,
             shards,
             which: (1..=shards).collect(),
-            limits: ShardLimits {
-                cpus: self.cpus,
-                threads,
-                seconds: self.time.unwrap_or(LIMIT),
-                grace: plan.spec.run.grace,
-            },
+            limits: ShardLimits { cpus, threads, seconds, grace },
             merges: true,
-            queue: QueueOptions {
-                cluster: None,
-                at_most: self.at_most,
-                for_shards: for_shards.to_vec(),
-                for_merge: for_merge.to_vec(),
-                most_index: scheduler.queue().map_or(Shard::MOST, QueueCommands::most_index),
-            },
+            queue: QueueOptions { cluster: None, at_most: self.at_most, for_shards, for_merge, most_index },
             run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
         };
         if let Some(unfit) = submission.unfit() {
-            return Err(Error::Usage(format!("{unfit}, because it is written into a script")));
+            return usage!("{unfit}, because it is written into a script");
         }
         let (notice, limit) = (submission.notice(), submission.limits.seconds);
         if submission.has_queue() && submission.limits.grace.is_some() && notice >= limit {
@@ -284,29 +266,26 @@ impl Args {
     /// Refuses options that the scheduler does not have, and a scheduler that is not installed.
     fn check(&self) -> Result<(), Error> {
         let scheduler = self.scheduler.scheduler();
+        let for_merge = self.further.iter().any(|word| word == "--");
         let given = [
             (SubmitOption::Time, "time", self.time.is_some()),
             (SubmitOption::AtMost, "at-most", self.at_most.is_some()),
             (SubmitOption::Hosts, "hosts", self.hosts.is_some()),
             (SubmitOption::Further, "further options", !self.further.is_empty()),
-            (
-                SubmitOption::FurtherForMerge,
-                "further options after a second --",
-                self.further.iter().any(|word| word == "--"),
-            ),
+            (SubmitOption::FurtherForMerge, "further options after a second --", for_merge),
         ];
         for (option, name, _) in given.into_iter().filter(|(.., is_given)| *is_given) {
             if let Some(why) = scheduler.refusal(option) {
-                return Err(Error::Usage(format!("--{name}: {why}; leave it out")));
+                return usage!("--{name}: {why}; leave it out");
             }
         }
         let program = scheduler.program();
         if !self.dry_run && !files::is_in_path(program) {
-            return Err(Error::Usage(format!(
+            return usage!(
                 "cluster submit {}: `{program}` is not in PATH; use a machine that has it, or run the shards here: `metasense cluster submit \
                  local`",
                 scheduler.name()
-            )));
+            );
         }
         Ok(())
     }
@@ -361,10 +340,10 @@ impl Program {
         match tried {
             Ok(status) if status.success() => {}
             Err(e) if e.kind() == ErrorKind::PermissionDenied => {
-                return Err(Error::Usage(format!(
+                return usage!(
                     "{}: programs cannot be started there, because its disk is mounted noexec: choose another --folder",
                     folder.display()
-                )));
+                );
             }
             Err(e) => return Err(Error::io("starting", &path)(e)),
             Ok(status) => return Err(Error::io("starting", &path)(io::Error::other(status.to_string()))),
@@ -383,18 +362,13 @@ impl Program {
 fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     let Submission { shards, which, limits: ShardLimits { cpus, seconds, .. }, .. } = submission;
     let (mean, longest) = estimate(trials, assignment, *cpus);
-    say!(
-        "{} in {}, each about {} on {}, the longest {}{}",
-        counted(trials.len(), "trial"),
-        counted(*shards as usize, "shard"),
-        duration(mean),
-        counted(*cpus as usize, "core"),
-        duration(longest),
-        match submission.has_queue() {
-            true => format!("; the time limit is {}", duration(*seconds as f64)),
-            false => String::new(),
-        }
-    );
+    let limit = match submission.has_queue() {
+        true => format!("; the time limit is {}", duration(*seconds as f64)),
+        false => String::new(),
+    };
+    let (all, of) = (counted(trials.len(), "trial"), counted(*shards as usize, "shard"));
+    let (cores, mean, most) = (counted(*cpus as usize, "core"), duration(mean), duration(longest));
+    say!("{all} in {of}, each about {mean} on {cores}, the longest {most}{limit}");
     if which.len() < *shards as usize {
         say!("{} of them are incomplete: {}", which.len(), ranges(which));
     }
@@ -453,12 +427,8 @@ fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
 
 fn launch_config(submission: &Submission) -> LaunchConfig {
     let Submission { folder, shards, queue, .. } = submission;
-    LaunchConfig {
-        folder: folder.clone(),
-        shards: *shards,
-        options: queue.for_shards.clone(),
-        grace: submission.grace(),
-    }
+    let (folder, options) = (folder.clone(), queue.for_shards.clone());
+    LaunchConfig { folder, shards: *shards, options, grace: submission.grace() }
 }
 
 /// Runs the shards, then merges their databases.

@@ -44,9 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             return Ok(Exit::Failed);
         }
         Err(Failure::Shortage(what)) => return Err(Error::Short(what)),
-        Err(failure @ Failure::Rejected(_)) => {
-            return Err(Error::Usage(format!("trial {hash}: {failure}")));
-        }
+        Err(failure @ Failure::Rejected(_)) => return usage!("trial {hash}: {failure}"),
     };
     let seconds = start.elapsed().as_secs_f64();
     let mut table = Table::default();

@@ -52,11 +52,11 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let state = bytes.strip_prefix(&digest).and_then(|bytes| postcard::from_bytes(bytes).ok());
         match state {
             Some(state) => Ok((ours, Some(state))),
-            None => Err(Error::Usage(format!(
+            None => usage!(
                 "{} contains the progress of another command, of other inputs or of another build: remove it, or choose \
                  another --out-dir",
                 path.display()
-            ))),
+            ),
         }
     }
 

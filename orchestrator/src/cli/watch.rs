@@ -36,15 +36,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             // Moves the cursor home and clears the screen.
             write!(std::io::stdout(), "\x1b[H\x1b[2J")?;
         }
-        print_line!("{}: {}", db.display(), seen.summary)?;
+        // a closed pipe ends the command
+        writeln!(std::io::stdout(), "{}: {}", db.display(), seen.summary)?;
         if !seen.workers.rows.is_empty() {
             print_rows(&seen.workers, Format::Table)?;
         }
         std::io::stdout().flush()?;
         if seen.run.is_none() {
             print_line!("no run is active")?;
-        }
-        if seen.run.is_none() {
             return Ok(Exit::Done);
         }
         tokio::time::sleep(EVERY).await;

@@ -261,11 +261,8 @@ fn write(path: PathBuf, text: String) -> Result<(), AssignmentError> {
     if std::fs::read_to_string(&path).is_ok_and(|written| written == text) {
         return Ok(());
     }
-    files::write(&path, text.as_bytes()).map_err(|source| AssignmentError::File {
-        doing: "write",
-        path,
-        source,
-    })
+    let doing = "write";
+    files::write(&path, text.as_bytes()).map_err(|source| AssignmentError::File { doing, path, source })
 }
 
 fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, AssignmentError> {

@@ -73,9 +73,7 @@ impl Facts {
                 {
                     return Box::pin(self.look()).await;
                 }
-                Err(e) if e.is_in_use() && begun.elapsed() < PATIENCE => {
-                    tokio::time::sleep(AGAIN).await;
-                }
+                Err(e) if e.is_in_use() && begun.elapsed() < PATIENCE => tokio::time::sleep(AGAIN).await,
                 added => break added?,
             }
         };

@@ -52,10 +52,8 @@ impl Notes {
         let mut file = OpenOptions::new().create(true).append(true).open(&path)?;
         // Continue on network file systems without locks.
         if let Err(TryLockError::WouldBlock) = file.try_lock() {
-            return Err(io::Error::new(
-                ErrorKind::ResourceBusy,
-                "another `metasense cluster submit` is using it",
-            ));
+            let why = "another `metasense cluster submit` is using it";
+            return Err(io::Error::new(ErrorKind::ResourceBusy, why));
         }
         let bytes = std::fs::read(&path)?;
         let (whole, rest) = lines(&bytes);
@@ -194,10 +192,8 @@ pub(super) fn numbers(jobs: &[&Job]) -> String {
 
 pub(super) fn output(words: &[String]) -> Result<String, QueueError> {
     let command = || words.join(" ");
-    let output = Command::new(&words[0])
-        .args(&words[1..])
-        .output()
-        .map_err(|source| QueueError::Start { command: command(), source })?;
+    let output = Command::new(&words[0]).args(&words[1..]).output();
+    let output = output.map_err(|source| QueueError::Start { command: command(), source })?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }

@@ -170,8 +170,8 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
 /// If an assignment cannot be read. An unreadable database counts as empty.
 pub async fn never_begun(files: &[PathBuf], db: &Path) -> Result<Vec<String>, AssignmentError> {
     let mut assigned = HashSet::new();
-    let folders: HashSet<&Path> = files.iter().map(|file| folder_of(file)).collect();
-    for folder in folders {
+    let folders = files.iter().map(|file| if file.is_dir() { &**file } else { crate::files::folder(file) });
+    for folder in folders.collect::<HashSet<&Path>>() {
         for assignment in Assignment::all_in(folder)? {
             assigned.extend(assignment.hashes().map(|(hash, _)| hash.to_owned()));
         }
@@ -186,10 +186,6 @@ pub async fn never_begun(files: &[PathBuf], db: &Path) -> Result<Vec<String>, As
     let mut never: Vec<String> = assigned.into_iter().collect();
     never.sort();
     Ok(never)
-}
-
-fn folder_of(file: &Path) -> &Path {
-    if file.is_dir() { file } else { crate::files::folder(file) }
 }
 
 #[cfg(test)]

@@ -100,8 +100,7 @@ impl Engine<'_> {
         };
         link.started = true;
         if let Err(error) = self.workers.fleet.spawn(worker, &start) {
-            let line = self.workers.links.remove(&worker);
-            if let Some(link) = line {
+            if let Some(link) = self.workers.links.remove(&worker) {
                 link.line.close();
             }
             self.misfire(worker, error.to_string(), events);

@@ -387,14 +387,9 @@ impl Engine<'_> {
 
     fn send_job(&mut self, worker: WorkerId, lease: Lease, checkpoint: Option<Checkpoint>) {
         let trial = self.agenda.trial(lease);
-        let job = ToWorker::Job {
-            lease,
-            work: (self.agenda.work)(trial),
-            checkpoint: checkpoint.map(Box::new),
-            threads: self.options.threads,
-            pause: trial.pause,
-            hash: trial.hash.clone(),
-        };
+        let (work, hash, pause) = ((self.agenda.work)(trial), trial.hash.clone(), trial.pause);
+        let (checkpoint, threads) = (checkpoint.map(Box::new), self.options.threads);
+        let job = ToWorker::Job { lease, work, checkpoint, threads, pause, hash };
         let Some(link) = self.workers.links.get_mut(&worker) else { return };
         match link.line.send(&job) {
             Ok(true) => {}

@@ -38,10 +38,8 @@ pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
     }
     for unit in &drawing.sensors {
         let [x, y] = drawing.centroids[*unit];
-        let circle: Vec<[f64; 2]> = (0..24)
-            .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
-            .map(|(sin, cos)| [x + radius * cos, y + radius * sin])
-            .collect();
+        let turns = (0..24).map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos());
+        let circle: Vec<[f64; 2]> = turns.map(|(sin, cos)| [x + radius * cos, y + radius * sin]).collect();
         polyline(&mut text, "sensors", &circle);
     }
     for unit in screwed(drawing) {

@@ -54,14 +54,10 @@ impl Cast {
             let n = corners.len();
             [(p, (p + 1) % n), ((p + n - 1) % n, p)].map(|(a, b)| distance([corners[a], corners[b]]))
         });
-        Ok(Self {
-            ligament,
-            shear: stiffness.shear,
-            density,
-            lengths: [lengths().fold(f64::INFINITY, f64::min), lengths().fold(0.0, f64::max)],
-            edge: edges.fold(f64::INFINITY, f64::min),
-            nominal: spec.body.material.map(|_| spec.body.lengths()[1]),
-        })
+        let lengths = [lengths().fold(f64::INFINITY, f64::min), lengths().fold(0.0, f64::max)];
+        let edge = edges.fold(f64::INFINITY, f64::min);
+        let nominal = spec.body.material.map(|_| spec.body.lengths()[1]);
+        Ok(Self { ligament, shear: stiffness.shear, density, lengths, edge, nominal })
     }
 
     fn outline(&self, drawing: &Drawing) -> Result<Outline, Invalid> {
@@ -187,14 +183,9 @@ impl Cast {
 
     /// A message if ligaments are wider than an edge beside them.
     fn too_wide(&self) -> Option<String> {
-        let width = self.ligament.width;
-        (width > self.edge).then(|| {
-            format!(
-                "ligaments {} mm wide are wider than the edge beside them ({} mm)",
-                number(width),
-                number(self.edge)
-            )
-        })
+        let [width, edge] = [self.ligament.width, self.edge].map(number);
+        let said = format!("ligaments {width} mm wide are wider than the edge beside them ({edge} mm)");
+        (self.ligament.width > self.edge).then_some(said)
     }
 }
 

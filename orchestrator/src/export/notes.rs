@@ -18,36 +18,26 @@ pub fn notes(
     (brain, fit): (Option<&str>, Fit),
 ) -> String {
     let (spec, hash, name) = (&stored.specs[body], &stored.hash, Body::ALL[body].name());
-    let word = Body::ALL[body].word();
+    let (word, version) = (Body::ALL[body].word(), env!("CARGO_PKG_VERSION"));
     let mut lines = vec![
         format!("# The {word} body of trial {hash}\n"),
-        format!(
-            "For a device, by metasense {}. Lengths in mm, x to the right, y upwards.\n",
-            env!("CARGO_PKG_VERSION")
-        ),
+        format!("For a device, by metasense {version}. Lengths in mm, x to the right, y upwards.\n"),
         "| file | contents |\n|---|---|".into(),
         "| mould.stl | the mould, open above |".into(),
         "| body.dxf, body.svg | its outline with chips and panels |".into(),
         "| design.npy | α, for `--design` and `body.design` |".into(),
     ];
-    if brain.is_some() {
-        lines.push(
-            "| brain.c | the decoder, C99; its head describes how to call and test it, and what it needs |"
-                .into(),
-        );
-    }
-    if brain.is_some() && spec.brain.task.is_forces() {
-        lines
-            .push("| brain.onnx | the decoder as an ONNX graph in 32-bit floats, for whole samples |".into());
-    }
+    let files = [
+        "| brain.c | the decoder, C99; its head describes how to call and test it, and what it needs |",
+        "| brain.onnx | the decoder as an ONNX graph in 32-bit floats, for whole samples |",
+    ];
+    let count = if brain.is_some() { 1 + usize::from(spec.brain.task.is_forces()) } else { 0 };
+    lines.extend(files.into_iter().take(count).map(String::from));
     lines.push("\n## Cast\n".into());
     lines.extend(cast.needs(drawing).iter().map(|need| format!("- {need}")));
     lines.extend(cast.warnings(drawing).iter().map(|warning| format!("- **Warning:** {warning}.")));
-    lines.push(format!(
-        "- The volume of the cavity is {} ml; walls are {} mm thick.",
-        number(1e-3 * cavity.volume(mould)),
-        number(mould.wall)
-    ));
+    let [volume, wall] = [1e-3 * cavity.volume(mould), mould.wall].map(number);
+    lines.push(format!("- The volume of the cavity is {volume} ml; walls are {wall} mm thick."));
     let screwed: Vec<usize> = screwed(drawing).collect();
     if !screwed.is_empty() {
         lines.push(format!("- Holes of {HOLE} mm (M3 screws) hold the units {} to a base.", list(&screwed)));
@@ -70,11 +60,9 @@ pub fn notes(
             }
         }
     });
-    lines.push(
-        "- Cure according to the data sheet of the rubber: pot life ____ min, cure time ____ h, shore ____."
-            .into(),
-    );
-    lines.push(format!("- Held units: {}.", list(&drawing.clamped)));
+    let cure =
+        "- Cure according to the data sheet of the rubber: pot life ____ min, cure time ____ h, shore ____.";
+    lines.extend([cure.to_owned(), format!("- Held units: {}.", list(&drawing.clamped))]);
     if !drawing.guided.is_empty() {
         lines.push(format!("- Partly held units: {}.", list(&drawing.guided)));
     }
@@ -102,7 +90,7 @@ pub fn notes(
         // rounding errors of a rotation count as zero
         let [a, b] = panel.direction.map(|d| number(if d.abs() < 1e-12 { 0.0 } else { d }));
         let [x, y] = at.map(number);
-        let unit = panel.unit;
+        let (unit, moment) = (panel.unit, number(panel.moment));
         lines.push(match panel.moves {
             Some(PrescribedMotion::Base(_)) => {
                 format!("| force {n} | all held units | | | moves them along ({a}, {b}) |")
@@ -111,10 +99,7 @@ pub fn notes(
                 format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |")
             }
             None if panel.direction == [0.0; 2] => {
-                format!(
-                    "| force {n} | {unit} | {x} | {y} | a moment of {} mm times the force |",
-                    number(panel.moment)
-                )
+                format!("| force {n} | {unit} | {x} | {y} | a moment of {moment} mm times the force |")
             }
             None => format!("| force {n} | {unit} | {x} | {y} | along ({a}, {b}) |"),
         });
@@ -130,17 +115,13 @@ pub fn notes(
             decoder_section("fitted to casts that vary according to `[variation]`", head)
         }
     });
-    lines.push(
+    lines.extend([
         "\nRecord about thirty blows with measured forces, in a file of records (docs/reference/measured.md). DB is the database of \
          the trial. The following commands compute the error of decoders fitted to this cast, and its material.\n"
-            .into(),
-    );
-    lines.push(format!(
-        "    metasense lab evaluate DB {hash} --records {name}=records.toml --out-dir measured"
-    ));
-    lines.push(format!(
-        "    metasense lab identify DB {hash} --design {name} --records records.toml --out-dir material"
-    ));
+            .to_owned(),
+        format!("    metasense lab evaluate DB {hash} --records {name}=records.toml --out-dir measured"),
+        format!("    metasense lab identify DB {hash} --design {name} --records records.toml --out-dir material"),
+    ]);
     lines.join("\n") + "\n"
 }
 

@@ -165,10 +165,9 @@ impl Zip {
     }
 
     fn file(&mut self, name: &str, data: &[u8]) {
-        let options = SimpleFileOptions::default()
-            .compression_method(CompressionMethod::Stored)
-            .last_modified_time(DateTime::default())
-            .large_file(data.len() >= u32::MAX as usize);
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+        let large = data.len() >= u32::MAX as usize;
+        let options = options.last_modified_time(DateTime::default()).large_file(large);
         let begun = self.0.start_file(name, options);
         begun.and_then(|()| Ok(self.0.write_all(data)?)).expect("writing to memory");
     }

@@ -42,13 +42,9 @@ pub fn onnx(
     let names: Vec<[String; 4]> =
         (0..layers.len()).map(|l| ["w", "b", "y", "x"].map(|what| format!("{what}{}", l + 1))).collect();
     let (first, last) = (&layers[0], &layers[layers.len() - 1]);
-    let mut graph = Graph {
-        name: "brain",
-        input: vec![series("signals", first.inputs)],
-        output: vec![series("forces", last.outputs)],
-        node: vec![turned("signals", "x0")],
-        ..Default::default()
-    };
+    let (input, output) = (vec![series("signals", first.inputs)], vec![series("forces", last.outputs)]);
+    let node = vec![turned("signals", "x0")];
+    let mut graph = Graph { name: "brain", input, output, node, ..Default::default() };
     let mut x = "x0";
     for (l, (layer, [w, b, y, after])) in layers.iter().zip(&names).enumerate() {
         let (shape, weights) = kernel(layer);

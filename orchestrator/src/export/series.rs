@@ -37,14 +37,10 @@ pub fn table(stored: &StoredTrial, replays: &[Replay; 2]) -> Table {
             let forces = &replays[0].forces.values;
             row.extend((0..panels).map(|k| json!(forces[(sample * panels + k) * (instants + 1) + n])));
             let at = sample * instants + n - 1;
-            for (replay, prediction_columns) in replays.iter().zip(&prediction_columns) {
+            for (replay, own) in replays.iter().zip(&prediction_columns) {
                 row.extend(replay.signals[at * signals..][..signals].iter().map(|v| json!(v)));
-                row.extend(
-                    prediction_columns
-                        .iter()
-                        .flat_map(|values| &values[at * panels..][..panels])
-                        .map(|v| json!(v)),
-                );
+                let predicted = own.iter().flat_map(|values| &values[at * panels..][..panels]);
+                row.extend(predicted.map(|v| json!(v)));
             }
             rows.push(row);
         }

@@ -63,14 +63,9 @@ impl Fleet {
     /// Starts a worker process.
     pub fn spawn(&mut self, worker: WorkerId, start: &Start) -> std::io::Result<()> {
         let argument = serde_json::to_string(start).expect("strings and numbers are JSON");
-        let mut child = Command::new(&self.program)
-            .arg("worker")
-            .arg(argument)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .kill_on_drop(true)
-            .spawn()?;
+        let mut command = Command::new(&self.program);
+        command.arg("worker").arg(argument).kill_on_drop(true);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
         let errors = child.stderr.take().expect("it is piped");
         let lines = tokio::spawn(pass_on(worker, errors, self.heard.clone()));
         let (kill, killed) = oneshot::channel();

@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use metasense_schemas::spec::{Run, SweepSpec};
 use metasense_source::{Source, SpecError};
 use metasense_worker::problem::as_written;
+use serde_json::Value;
 
 use crate::control::WORKERS_MAX;
 
@@ -13,6 +14,9 @@ const MOST_TRIALS: usize = 1_000_000;
 /// Largest seed: f64 represents it and the seeds that [until] and [goal] add to it exactly.
 const MOST_SEED: u64 = 1 << 52;
 
+/// Longest name (bytes): file names of 255 bytes contain it.
+const LONGEST_NAME: usize = 100;
+
 /// Checks the lists of `[sweep]`, and the name, which becomes a file name.
 pub(super) fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let sweep = &spec.sweep;
@@ -20,7 +24,9 @@ pub(super) fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecE
     let is_file_name =
         !spec.name.is_empty() && !spec.name.starts_with('.') && spec.name.chars().all(harmless);
     let remedy = "must consist of letters, digits, '-', '_' and '.', because it names the database";
-    source.require(&[("name", is_file_name, remedy)])?;
+    let is_short = spec.name.len() <= LONGEST_NAME;
+    let shorten = "must have at most 100 bytes, because it names files";
+    source.require(&[("name", is_file_name, remedy), ("name", is_short, shorten)])?;
     for (list, key) in [(&sweep.panels, "sweep.panels"), (&sweep.sensors, "sweep.sensors")] {
         if !list.is_empty() || sweep.points.is_empty() {
             distinct(list, key, source)?;
@@ -131,8 +137,22 @@ pub(super) fn distinct<T: serde::Serialize>(
         return Err(source.error(key, "needs at least one value"));
     }
     let mut seen = HashSet::new();
-    match values.iter().find(|value| !seen.insert(serde_json::to_string(value).expect("it is JSON"))) {
+    let as_set = |value: &T| whole(serde_json::to_value(value).expect("it is JSON")).to_string();
+    match values.iter().find(|value| !seen.insert(as_set(value))) {
         Some(value) => Err(source.error_with(key, Some(&as_written(value)), "is listed twice")),
         None => Ok(()),
+    }
+}
+
+/// Makes whole numbers integers: 15.0 sets a key to the same value as 15.
+fn whole(value: Value) -> Value {
+    match value {
+        Value::Number(n) => match n.as_f64().filter(|x| n.is_f64() && x.fract() == 0.0 && x.abs() < 9e15) {
+            Some(x) => Value::from(x as i64),
+            None => Value::Number(n),
+        },
+        Value::Array(values) => values.into_iter().map(whole).collect(),
+        Value::Object(keys) => keys.into_iter().map(|(key, value)| (key, whole(value))).collect(),
+        value => value,
     }
 }

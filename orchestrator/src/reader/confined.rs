@@ -75,13 +75,8 @@ impl Reader {
         limits: Limits,
     ) -> Result<(T, Option<String>), StoreError> {
         let begun = Instant::now();
-        let path = self.path.clone();
-        let mut handle = self
-            .connected
-            .connection
-            .lock_handle()
-            .await
-            .map_err(|source| StoreError::sql(&path, "querying", source))?;
+        let handle = self.connected.connection.lock_handle().await;
+        let mut handle = handle.map_err(|source| StoreError::sql(&self.path, "querying", source))?;
         handle.set_progress_handler(OPERATIONS, move || begun.elapsed() < limits.time);
         drop(handle);
         let late = || format!("it took more than {} s", limits.time.as_secs_f64());

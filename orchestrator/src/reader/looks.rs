@@ -41,13 +41,7 @@ impl Reader {
     pub async fn progress(&mut self) -> Result<u64, StoreError> {
         let sql = "SELECT (SELECT count(*) FROM step)
             + (SELECT count(*) FROM trial WHERE state IN ('done', 'failed')) AS progress";
-        let mut progress = 0;
-        self.each(sql, |row| {
-            progress = row.count("progress");
-            Ok::<_, StoreError>(())
-        })
-        .await?;
-        Ok(progress)
+        Ok(self.rows(sql, |row| row.count("progress")).await?[0])
     }
 
     /// The state of all trials, by hash.
@@ -55,43 +49,37 @@ impl Reader {
     /// # Errors
     /// If SQLite fails.
     pub async fn standings(&mut self) -> Result<HashMap<String, TrialProgress>, StoreError> {
-        let mut found: HashMap<String, TrialProgress> = HashMap::new();
-        self.each("SELECT hash, state, holdout_error_optimised AS holdout FROM v_trial", |row| {
+        let rows = self.rows("SELECT hash, state, holdout_error_optimised AS holdout FROM v_trial", |row| {
             let (state, holdout) = (row.text("state").to_owned(), row.number("holdout"));
-            let standing = TrialProgress { state, holdout, ..TrialProgress::default() };
-            found.insert(row.text("hash").to_owned(), standing);
-            Ok::<_, StoreError>(())
-        })
-        .await?;
+            (row.text("hash").to_owned(), TrialProgress { state, holdout, ..TrialProgress::default() })
+        });
+        let mut found: HashMap<String, TrialProgress> = rows.await?.into_iter().collect();
         let sql =
             "SELECT t.hash, p.step, p.error_test, p.error_train FROM step p JOIN trial t ON t.id = p.trial_id
              ORDER BY p.trial_id, p.step";
-        self.each(sql, |row| {
+        self.rows(sql, |row| {
             if let Some(standing) = found.get_mut(row.text("hash")) {
                 let [test, train] = [row.number("error_test"), row.number("error_train")];
                 standing.looks.push(StepErrors { step: row.count("step") as u32, test, train });
             }
-            Ok::<_, StoreError>(())
         })
         .await?;
         let sql = "SELECT t.hash, c.reader, c.records, c.error FROM cast_reading c JOIN trial t ON t.id = c.trial_id
              WHERE c.body = 'optimised' ORDER BY c.trial_id, c.casting";
-        self.each(sql, |row| {
+        self.rows(sql, |row| {
             if let Some(standing) = found.get_mut(row.text("hash")) {
                 let reader = (row.text("reader").to_owned(), row.count("records") as u32);
                 standing.casts.entry(reader).or_default().push(row.number("error").unwrap_or(FAILED));
             }
-            Ok::<_, StoreError>(())
         })
         .await?;
         // networks of tasks are not exported to devices
         let sql = "SELECT hash, task, min(error) AS error FROM v_task WHERE body = 'optimised' AND readout <> 'network'
              GROUP BY hash, task";
-        self.each(sql, |row| {
+        self.rows(sql, |row| {
             if let (Some(standing), Some(error)) = (found.get_mut(row.text("hash")), row.number("error")) {
                 standing.tasks.insert(row.text("task").to_owned(), error);
             }
-            Ok::<_, StoreError>(())
         })
         .await?;
         Ok(found)
@@ -103,7 +91,6 @@ impl Reader {
     /// # Errors
     /// If SQLite fails.
     pub async fn spent(&mut self, text: &str) -> Result<BTreeMap<String, (f64, Option<f64>)>, StoreError> {
-        let mut spent = BTreeMap::new();
         let sql = format!(
             "SELECT t.hash, sum(a.cpu_seconds) AS seconds,
                CASE t.state WHEN 'done' THEN sum(a.cpu_seconds) FILTER (WHERE NOT a.redone) END AS kept
@@ -112,13 +99,11 @@ impl Reader {
              WHERE s.text = {} GROUP BY t.id",
             quoted(text)
         );
-        self.each(&sql, |row| {
+        let rows = self.rows(&sql, |row| {
             let kept = row.number("kept").filter(|seconds| *seconds > 0.0);
-            spent.insert(row.text("hash").to_owned(), (row.number("seconds").unwrap_or(0.0), kept));
-            Ok::<_, StoreError>(())
-        })
-        .await?;
-        Ok(spent)
+            (row.text("hash").to_owned(), (row.number("seconds").unwrap_or(0.0), kept))
+        });
+        Ok(rows.await?.into_iter().collect())
     }
 }
 

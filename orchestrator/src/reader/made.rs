@@ -34,32 +34,23 @@ pub struct Nearest {
 impl Reader {
     /// Code versions that computed trials, by decreasing number of trials.
     pub async fn code_versions(&mut self) -> Result<Vec<CodeVersion>, StoreError> {
-        let at = |path: &std::path::Path, source| StoreError::sql(path, "reading", source);
-        let revisions: Vec<(String, String)> = sqlx::query_as(
-            "SELECT DISTINCT code, revision FROM attempt WHERE code IS NOT NULL AND revision IS NOT NULL ORDER BY 1, 2",
-        )
-        .fetch_all(&mut self.connected.connection)
-        .await
-        .map_err(|e| at(&self.path, e))?;
+        let sql = "SELECT DISTINCT code, revision FROM attempt WHERE code IS NOT NULL AND revision IS NOT NULL ORDER BY 1, 2";
         let mut of_code: HashMap<String, Vec<String>> = HashMap::new();
-        revisions.into_iter().for_each(|(code, revision)| of_code.entry(code).or_default().push(revision));
-        let rows: Vec<(String, i64)> = sqlx::query_as(
-            // The view orders code versions; it is slow, so use it only for trials with several.
-            "SELECT CASE several WHEN 0 THEN code ELSE
+        for (code, revision) in self.ask::<(String, String)>(sql, "").await? {
+            of_code.entry(code).or_default().push(revision);
+        }
+        // The view orders code versions; it is slow, so use it only for trials with several.
+        let sql = "SELECT CASE several WHEN 0 THEN code ELSE
                  (SELECT v.code FROM v_trial v JOIN trial t ON t.hash = v.hash WHERE t.id = trial_id) END, count(*) FROM
                (SELECT trial_id, min(coalesce(code, 'unknown')) AS code,
                   min(coalesce(code, 'unknown')) < max(coalesce(code, 'unknown')) AS several FROM attempt
                 WHERE NOT redone AND (steps > 0 OR saves > 0 OR state = 'done') GROUP BY trial_id)
-             GROUP BY 1 ORDER BY 2 DESC, 1",
-        )
-        .fetch_all(&mut self.connected.connection)
-        .await
-        .map_err(|e| at(&self.path, e))?;
+             GROUP BY 1 ORDER BY 2 DESC, 1";
         let made = |(code, trials): (String, i64)| {
             let known = code.split(' ').filter_map(|code| of_code.get(code)).flatten();
             CodeVersion { revisions: known.cloned().collect(), trials: trials as usize, code }
         };
-        Ok(rows.into_iter().map(made).collect())
+        Ok(self.ask(sql, "").await?.into_iter().map(made).collect())
     }
 
     /// Whether a sweep may have stopped early, depending on its results: it has `[until]`, or `[goal]` and unfinished trials,
@@ -71,10 +62,7 @@ impl Reader {
         let sql = "SELECT EXISTS (SELECT 1 FROM sweep s WHERE s.spec->'$.until' IS NOT NULL OR s.spec->'$.goal' IS NOT NULL
                      AND EXISTS (SELECT 1 FROM sweep_trial x JOIN trial t ON t.id = x.trial_id
                                  WHERE x.sweep_id = s.id AND t.state <> 'done'))";
-        sqlx::query_scalar(sql)
-            .fetch_one(&mut self.connected.connection)
-            .await
-            .map_err(|e| StoreError::sql(&self.path, "reading", e))
+        Ok(self.ask::<(bool,)>(sql, "").await?[0].0)
     }
 
     /// Hashes of finished trials whose time steps exceed the requested error on one of their bodies.
@@ -82,16 +70,11 @@ impl Reader {
     /// # Errors
     /// If SQLite fails.
     pub async fn unresolved(&mut self) -> Result<Vec<String>, StoreError> {
-        let mut hashes = Vec::new();
         let sql = "SELECT hash, solver FROM trial WHERE state = 'done' AND solver IS NOT NULL ORDER BY hash";
-        self.each(sql, |row| {
-            if keeps_error(row.text("solver")) != [true; 2] {
-                hashes.push(row.text("hash").to_owned());
-            }
-            Ok::<_, StoreError>(())
-        })
-        .await?;
-        Ok(hashes)
+        let rows = self.rows(sql, |row| {
+            (keeps_error(row.text("solver")) != [true; 2]).then(|| row.text("hash").to_owned())
+        });
+        Ok(rows.await?.into_iter().flatten().collect())
     }
 
     /// The trial that differs from a spec in the fewest keys; if several do, the first by hash. `None` if there are no trials.
@@ -113,11 +96,8 @@ impl Reader {
                 let pair = |path: &String| {
                     (path.clone(), [there.get(path).cloned(), wanted_keys.get(path).cloned()])
                 };
-                nearest = Some(Nearest {
-                    hash: row.text("hash").to_owned(),
-                    state: row.text("state").to_owned(),
-                    differs: differs.into_iter().map(pair).collect(),
-                });
+                let [hash, state] = ["hash", "state"].map(|column| row.text(column).to_owned());
+                nearest = Some(Nearest { hash, state, differs: differs.into_iter().map(pair).collect() });
             }
             Ok(())
         })

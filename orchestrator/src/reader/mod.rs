@@ -16,8 +16,8 @@ use futures_util::TryStreamExt;
 use serde_json::Value;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{
-    AssertSqlSafe, Column, ConnectOptions, Connection, Executor, Row as _, SqlSafeStr, Statement, TypeInfo,
-    ValueRef,
+    AssertSqlSafe, Column, ConnectOptions, Connection, Executor, FromRow, Row as _, SqlSafeStr, Statement,
+    TypeInfo, ValueRef,
 };
 
 use crate::cell;
@@ -60,6 +60,12 @@ impl Row<'_> {
     /// A non-negative integer; 0 if it is missing.
     pub fn count(&self, column: &str) -> u64 {
         self.0.try_get_unchecked(column).map_or(0, |n: i64| n.max(0) as u64)
+    }
+
+    /// An array of a trial, in the columns `name`, `bytes` and `digest`.
+    pub fn array(&self, hash: &str) -> Artifact {
+        let [bytes, digest] = ["bytes", "digest"].map(|column| self.bytes(column).to_owned());
+        Artifact { hash: hash.to_owned(), name: self.text("name").to_owned(), bytes, digest: Some(digest) }
     }
 
     /// All values; blobs are replaced by the text `blob of N bytes`.
@@ -176,13 +182,8 @@ impl Reader {
     /// # Errors
     /// With SQLite's message, if the statement is invalid or refused.
     pub async fn query<T: From<QueryResult>>(&mut self, sql: &str) -> Result<T, StoreError> {
-        let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
-        self.each(sql, |row| {
-            rows.push(row.values());
-            Ok::<_, StoreError>(())
-        })
-        .await?;
-        Ok(T::from((columns, rows)))
+        let columns = self.columns(sql).await?;
+        Ok(T::from((columns, self.rows(sql, |row| row.values()).await?)))
     }
 
     /// The column names of an answer.
@@ -250,6 +251,23 @@ impl Reader {
         Err(cell.unwrap_or_else(|| wrong(&self.path, failed)).into())
     }
 
+    /// A value per row of one statement; see [`Reader::each`].
+    ///
+    /// # Errors
+    /// If SQLite fails.
+    pub async fn rows<T>(
+        &mut self,
+        sql: &str,
+        mut of: impl FnMut(&Row<'_>) -> T,
+    ) -> Result<Vec<T>, StoreError> {
+        let mut found = Vec::new();
+        let taken = self.each(sql, |row| {
+            found.push(of(row));
+            Ok(())
+        });
+        taken.await.map(|()| found)
+    }
+
     /// Finds a trial whose spec or result is not JSON. SQLite's message does not name it.
     async fn cell_without_json(&mut self) -> Option<StoreError> {
         let sql = "SELECT hash, json_valid(spec) FROM trial WHERE NOT json_valid(spec) OR NOT json_valid(result) LIMIT 1";
@@ -271,18 +289,22 @@ impl Reader {
     pub async fn hash_of(&mut self, beginning: &str) -> Result<String, StoreError> {
         // Hashes are hex digits, all below 'g'.
         let sql = "SELECT hash FROM trial WHERE hash >= ?1 AND hash < ?1 || 'g' LIMIT 2";
-        if let [hash] = &self.hashes(sql, beginning).await?[..] {
+        if let [(hash,)] = &self.ask::<(String,)>(sql, beginning).await?[..] {
             return Ok(hash.clone());
         }
-        let all = self.hashes("SELECT hash FROM trial ORDER BY hash", "").await?;
-        let found = position_of(beginning, all.iter().map(String::as_str));
+        let all: Vec<(String,)> = self.ask("SELECT hash FROM trial ORDER BY hash", "").await?;
+        let found = position_of(beginning, all.iter().map(|(hash,)| hash.as_str()));
         let at = found.map_err(|which| StoreError::NotOne(self.path.clone(), which))?;
-        Ok(all[at].clone())
+        Ok(all[at].0.clone())
     }
 
-    async fn hashes(&mut self, sql: &'static str, beginning: &str) -> Result<Vec<String>, StoreError> {
-        let query = sqlx::query_scalar(sql);
-        let query = if sql.contains('?') { query.bind(beginning) } else { query };
+    /// The rows of a statement of ours, whose parameter, if it has one, is `value`.
+    async fn ask<T>(&mut self, sql: &'static str, value: &str) -> Result<Vec<T>, StoreError>
+    where
+        T: for<'r> FromRow<'r, SqliteRow> + Send + Unpin,
+    {
+        let query = sqlx::query_as::<sqlx::Sqlite, T>(sql);
+        let query = if sql.contains('?') { query.bind(value) } else { query };
         let found = query.fetch_all(&mut self.connected.connection).await;
         found.map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
@@ -294,21 +316,15 @@ impl Reader {
     pub async fn open_source_of(&mut self, hash: &str) -> Result<Option<Self>, StoreError> {
         let sql = "SELECT s.file FROM trial t JOIN elsewhere e ON e.trial_id = t.id JOIN source s ON s.id = e.source_id
              WHERE t.hash = ?";
-        let file: Option<String> = sqlx::query_scalar(sql)
-            .bind(hash)
-            .fetch_optional(&mut self.connected.connection)
-            .await
-            .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        let Some(file) = file.map(PathBuf::from) else { return Ok(None) };
+        let Some((file,)) = self.ask::<(String,)>(sql, hash).await?.pop() else { return Ok(None) };
+        let file = PathBuf::from(file);
         let opened = async {
             let mut rest = Self::open(&file).await?;
             rest.hash_of(hash).await.map(|_| rest)
         };
-        let gone = |source| StoreError::Elsewhere {
-            path: self.path.clone(),
-            hash: hash.to_owned(),
-            file: file.clone(),
-            source: Box::new(source),
+        let gone = |error| {
+            let (path, hash, source) = (self.path.clone(), hash.to_owned(), Box::new(error));
+            StoreError::Elsewhere { path, hash, file: file.clone(), source }
         };
         opened.await.map(Some).map_err(gone)
     }
@@ -320,11 +336,8 @@ impl Reader {
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
         let sql =
             "SELECT c.bytes, c.digest FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.hash = ?";
-        let stored = sqlx::query_as(sql)
-            .bind(hash)
-            .fetch_optional(&mut self.connected.connection)
-            .await
-            .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
+        let stored = sqlx::query_as(sql).bind(hash).fetch_optional(&mut self.connected.connection).await;
+        let stored = stored.map_err(|e| StoreError::sql(&self.path, "reading a checkpoint from", e))?;
         stored.map(|stored| read_checkpoint(hash, stored)).transpose()
     }
 
@@ -339,17 +352,10 @@ impl Reader {
     }
 
     async fn own_arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
-        type Row = (String, String, Vec<u8>, Option<Vec<u8>>);
-        let rows: Vec<Row> = sqlx::query_as(
-            "SELECT t.hash, a.name, a.bytes, a.digest FROM artifact a JOIN trial t ON t.id = a.trial_id
-             WHERE t.hash = ? ORDER BY a.name",
-        )
-        .bind(hash)
-        .fetch_all(&mut self.connected.connection)
-        .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
+        let sql = "SELECT t.hash, a.name, a.bytes, a.digest FROM artifact a JOIN trial t ON t.id = a.trial_id
+             WHERE t.hash = ? ORDER BY a.name";
         let array = |(hash, name, bytes, digest)| Artifact { hash, name, bytes, digest };
-        Ok(rows.into_iter().map(array).collect())
+        Ok(self.ask(sql, hash).await?.into_iter().map(array).collect())
     }
 }
 

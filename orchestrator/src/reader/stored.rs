@@ -44,14 +44,11 @@ impl Reader {
         let columns_of_view = columns.join(", ");
         let drawings = format!("(SELECT result->>'$.drawings' FROM trial WHERE hash = {named}) AS drawings");
         let sql = format!("SELECT {columns_of_view}, {drawings} FROM v_trial WHERE hash = {named}");
-        let mut found = None;
-        self.each(&sql, |row| {
+        let rows = self.rows(&sql, |row| {
             let drawings = serde_json::from_str(row.text("drawings")).unwrap_or_default();
-            found = Some((columns.map(|column| row.text(column).to_owned()), drawings));
-            Ok::<_, StoreError>(())
-        })
-        .await?;
-        let Some(([hash, state, spec, units, units_optimised, solver], drawings)) = found else {
+            (columns.map(|column| row.text(column).to_owned()), drawings)
+        });
+        let Some(([hash, state, spec, units, units_optimised, solver], drawings)) = rows.await?.pop() else {
             return Err(StoreError::UnknownTrial(self.path().to_owned(), hash.to_owned()));
         };
         if state != "done" {

@@ -210,14 +210,10 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         if let (true, Ok(mean), Ok(median)) = (same, elbow(&mean, height), elbow(&median, height))
             && mean.verdict != median.verdict
         {
-            let text = format!(
-                "{}: means and medians over samples disagree on the {} body ({}): {} by means, {} by medians.",
-                group.label,
-                body.word(),
-                height.name(),
-                verdict_text(mean.verdict),
-                verdict_text(median.verdict)
-            );
+            let (who, of) = (format!("{} body", body.word()), height.name());
+            let [mean, median] = [mean, median].map(|elbow| verdict_text(elbow.verdict));
+            let text = format!("disagree on the {who} ({of}): {mean} by means, {median} by medians.");
+            let text = format!("{}: means and medians over samples {text}", group.label);
             said.push(Answer::new("sensors", Some(false), text));
         }
     }

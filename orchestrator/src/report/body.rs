@@ -14,11 +14,9 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
     let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, guided, spacing, .. } =
         drawing;
     let held = |a: &Active| mark(a.kind, a.units, Some(a.node), units);
-    let arrow = |&(panel, foot): &(Panel, Point)| Arrow {
-        unit: panel.unit,
-        foot,
-        direction: (!panel.is_couple()).then_some(panel.direction),
-        sense: panel.moment.signum(),
+    let arrow = |&(panel, foot): &(Panel, Point)| {
+        let direction = (!panel.is_couple()).then_some(panel.direction);
+        Arrow { unit: panel.unit, foot, direction, sense: panel.moment.signum() }
     };
     let broken = |v: &Violation| mark(v.kind, v.units, v.node, units);
     Sketch {
@@ -64,12 +62,8 @@ pub fn figure(
 pub fn drawn(stored: &StoredTrial) -> Option<Figure> {
     let name = stored.spec().body.description.as_ref().map_or("", |description| &description.name);
     let picture = |(body, svg): (Body, &String)| {
-        let view: Vec<f64> = svg
-            .split_once("viewBox=\"")
-            .map_or("", |(_, rest)| rest.split('"').next().unwrap_or(""))
-            .split([' ', ','])
-            .filter_map(|side| side.parse().ok())
-            .collect();
+        let sides = svg.split_once("viewBox=\"").map_or("", |(_, rest)| rest.split('"').next().unwrap_or(""));
+        let view: Vec<f64> = sides.split([' ', ',']).filter_map(|side| side.parse().ok()).collect();
         let ratio = if view.len() == 4 { view[3] / view[2] } else { 1.0 };
         let height = if (0.1..=10.0).contains(&ratio) { 100.0 * ratio } else { 100.0 };
         let title = format!("{} body", body.word());

@@ -1,5 +1,6 @@
 //! Error by decoder: a figure, and one sentence per setting.
 
+use super::casts::MOST_SETTINGS;
 use super::words::left_out;
 use crate::analysis::brains::{DecoderErrors, errors_by_decoder};
 use crate::analysis::data::{BRAINS, Group, groups};
@@ -7,20 +8,14 @@ use crate::analysis::numbers::distinct;
 use crate::analysis::{Body, Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
 
-/// Maximum number of settings in the figure; the data contain all.
-const MOST_SETTINGS: usize = 4;
-
 /// Classes of the trained bodies' lines, by the decoder in training.
 const TRAINED: [&str; 5] = ["optimised", "front", "fourth", "fifth", "truth"];
 
 /// Errors of linear decoders against memory, and against delay after the instant; dots: networks.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
-    let drawn: Vec<(String, Vec<DecoderErrors>)> = groups(&refs, BRAINS)
-        .into_iter()
-        .map(|group| (group.label, errors_by_decoder(&group.trials)))
-        .filter(|(_, reads)| reads.iter().any(|read| read.whole))
-        .collect();
+    let all = groups(&refs, BRAINS).into_iter().map(|group| (group.label, errors_by_decoder(&group.trials)));
+    let drawn: Vec<_> = all.filter(|(_, reads)| reads.iter().any(|read| read.whole)).collect();
     let mut pictures = Vec::new();
     let mut trained_names =
         distinct(drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()));
@@ -59,9 +54,8 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         pictures.push(delay.picture());
     }
     let mut entries = vec![("initial", "initial body".to_owned())];
-    entries.extend(
-        trained_names.iter().map(|name| (class(&trained_names, name), format!("body trained with {name}"))),
-    );
+    let entry = |name: &&str| (class(&trained_names, name), format!("body trained with {name}"));
+    entries.extend(trained_names.iter().map(entry));
     Figure::some(
         "brains",
         "Body or decoder?",
@@ -126,8 +120,7 @@ fn sentence(label: &str, reads: &[DecoderErrors]) -> Option<String> {
         |with: &str| reads.iter().find(|r| r.whole && r.trained_with == with).or_else(|| begins(with));
     let own = reads.iter().filter(|r| r.own && r.decoder != "linear");
     let best = own.min_by(|a, b| a.errors[1].total_cmp(&b.errors[1]));
-    let by_linear = whole("linear");
-    let text = match (best, by_linear) {
+    let text = match (best, whole("linear")) {
         (Some(best), trained) => {
             let untouched = whole(&best.trained_with).or(trained)?.errors[0];
             let than = if untouched < best.errors[1] { "less" } else { "more" };
@@ -143,10 +136,8 @@ fn sentence(label: &str, reads: &[DecoderErrors]) -> Option<String> {
                 text += &format!(". On that body it is {} %", number(own.errors[1]));
             }
             if let Some(other) = trained.filter(|_| best.trained_with != "linear") {
-                text += &format!(
-                    ". On the body trained with the linear decoder it is {} %",
-                    number(other.errors[1])
-                );
+                let error = number(other.errors[1]);
+                text += &format!(". On the body trained with the linear decoder it is {error} %");
             }
             text
         }

@@ -164,12 +164,8 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
                 Some(format!("{} {median} [{most}] %{kept}", body.name))
             };
             let told: Vec<String> = setting.bodies.iter().filter_map(told).collect();
-            let text = format!(
-                "{}, error on the median cast [90th percentile] with {}: {}.",
-                setting.label,
-                brain(by),
-                told.join("; ")
-            );
+            let (label, by, told) = (&setting.label, brain(by), told.join("; "));
+            let text = format!("{label}, error on the median cast [90th percentile] with {by}: {told}.");
             said.push(Answer::new("casts", None, text));
         }
     }

@@ -88,11 +88,8 @@ const COHERENCE: [&str; 2] = ["truth", "front"];
 pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
     let answer = |f: &metasense_lab::check::Finding| {
         let place = if f.place.is_empty() { String::new() } else { format!("{}: ", f.place) };
-        Answer::new(
-            "",
-            (f.level == Level::Fault).then_some(false),
-            format!("{place}{}. Remedy: {}.", f.found, f.remedy),
-        )
+        let verdict = (f.level == Level::Fault).then_some(false);
+        Answer::new("", verdict, format!("{place}{}. Remedy: {}.", f.found, f.remedy))
     };
     let said: Vec<Answer> = checked.findings.iter().filter(|f| f.level != Level::Ok).map(answer).collect();
     let good = [Answer::new("", Some(true), "No fault found.".into())];
@@ -138,11 +135,10 @@ fn followed(checked: &Checked) -> Option<Figure> {
             let scales = [scale(&measured), scale(&simulated)];
             let name = checked.channels[c].split(" (").next().unwrap_or_default();
             let correlation = found.records[i].correlation;
-            let mut plot = Plot::new(
-                &format!("Record {number_of}, {name}: correlation {correlation:.2}"),
-                Axis::new("time (s)", Scale::Linear, [0.0, end]),
-                Axis::new("relative to its largest value", Scale::Linear, [-1.1, 1.1]),
-            );
+            let title = format!("Record {number_of}, {name}: correlation {correlation:.2}");
+            let x = Axis::new("time (s)", Scale::Linear, [0.0, end]);
+            let y = Axis::new("relative to its largest value", Scale::Linear, [-1.1, 1.1]);
+            let mut plot = Plot::new(&title, x, y);
             for (class, line, scale) in
                 [("optimised", &simulated, scales[1]), ("truth", &measured, scales[0])]
             {
@@ -168,6 +164,7 @@ fn followed(checked: &Checked) -> Option<Figure> {
 fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figure> {
     let spectra = checked.spectra.as_ref()?;
     let frequencies = &spectra.frequencies;
+    let hertz = || Axis::new("frequency (Hz)", Scale::Linear, [0.0, frequencies[frequencies.len() - 1]]);
     let read = trial.sensors.read();
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
     for (c, panels) in spectra.response.iter().enumerate() {
@@ -176,17 +173,11 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
         let model = unit.and_then(|unit| responses(trial, design, *unit, frequencies).ok());
         let of_model = |n: usize, k: usize| model.as_ref().map(|model| model[n][k][kind].norm());
         let all = panels.iter().flatten().copied();
-        let drawn = all.chain(
-            (0..frequencies.len()).flat_map(|n| (0..panels.len()).filter_map(move |k| of_model(n, k))),
-        );
+        let points = (0..frequencies.len()).flat_map(|n| (0..panels.len()).map(move |k| (n, k)));
         let name = checked.channels[c].split(" (").next().unwrap_or_default();
         let label = if kind == 2 { "rad/s per N" } else { "mm/s² per N" };
-        let drawn: Vec<f64> = drawn.collect();
-        let mut plot = Plot::new(
-            name,
-            Axis::new("frequency (Hz)", Scale::Linear, [0.0, frequencies[frequencies.len() - 1]]),
-            Axis::new(label, Scale::Log, drawn),
-        );
+        let drawn = all.chain(points.filter_map(|(n, k)| of_model(n, k)));
+        let mut plot = Plot::new(name, hertz(), Axis::new(label, Scale::Log, drawn));
         for (k, of) in panels.iter().enumerate() {
             let line = |of: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
                 (0..frequencies.len()).filter_map(|n| Some((frequencies[n], of(n)?))).collect()
@@ -201,11 +192,8 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
         pictures.push(plot.picture());
     }
     if let Some(coherence) = &spectra.coherence {
-        let mut plot = Plot::new(
-            "Coherence: least and median of the channels",
-            Axis::new("frequency (Hz)", Scale::Linear, [0.0, frequencies[frequencies.len() - 1]]),
-            Axis::new("γ²", Scale::Linear, [0.0, 1.0]),
-        );
+        let y = Axis::new("γ²", Scale::Linear, [0.0, 1.0]);
+        let mut plot = Plot::new("Coherence: least and median of the channels", hertz(), y);
         for (class, part) in COHERENCE.into_iter().zip([0.5, 0.0]) {
             let at = |n: usize| {
                 let mut all: Vec<f64> = coherence.iter().filter_map(|of| of.get(n).copied()).collect();

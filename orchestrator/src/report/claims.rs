@@ -51,11 +51,8 @@ const ROW: f64 = 16.0;
 pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
     let others = [Set::Test.name(), Set::Median.name(), Progress::Loss.name()];
     let of_holdout = |e: &&Evidence| e.found.is_some() && !others.contains(&e.set);
-    let rows: Vec<(usize, &Evidence)> = found
-        .iter()
-        .enumerate()
-        .flat_map(|(i, evidence)| evidence.iter().filter(of_holdout).map(move |e| (i, e)))
-        .collect();
+    let each = found.iter().enumerate().flat_map(|(i, of)| of.iter().map(move |e| (i, e)));
+    let rows: Vec<(usize, &Evidence)> = each.filter(|(_, e)| of_holdout(e)).collect();
     let reach = |e: &Evidence| e.interval.map_or([e.found; 2], |i| [Some(i.low), Some(i.high)]);
     let values =
         rows.iter().flat_map(|(i, e)| reach(e).into_iter().flatten().chain([CLAIMS[*i].stated, 1.0]));

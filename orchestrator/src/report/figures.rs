@@ -11,7 +11,9 @@ use crate::analysis::random::{random, random_groups};
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::trial::CurvePoint;
-use crate::analysis::{Body, ErrorScale, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{
+    Body, Cluster, ErrorScale, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired,
+};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// Legend of both bodies.
@@ -63,17 +65,9 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     for (n, name) in names.iter().enumerate() {
         let drawn = points.iter().zip(&whose).filter(|(_, of)| of == name);
         let dots = drawn.map(|((t, i, o), _)| {
-            let text = format!(
-                "K {} M {} placement {} seed {}, {} units: {} % → {} %",
-                t.panels,
-                t.sensors,
-                t.cluster.placement,
-                t.cluster.seed,
-                t.units,
-                number(*i),
-                number(*o)
-            );
-            ((*i, *o), text)
+            let Trial { panels: k, sensors: m, units, cluster: Cluster { placement, seed }, .. } = t;
+            let (of, [from, to]) = (format!("placement {placement} seed {seed}"), [*i, *o].map(number));
+            ((*i, *o), format!("K {k} M {m} {of}, {units} units: {from} % → {to} %"))
         });
         plot.dots(DOTS.get(n).map_or("thin", |key| &key["dot ".len()..]), dots);
     }
@@ -280,21 +274,18 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
 fn quartile_curve(curves: Vec<&Vec<CurvePoint>>) -> Vec<(f64, f64, f64, f64)> {
     let Some(shortest) = curves.iter().min_by_key(|c| c.len()) else { return Vec::new() };
     let Some(last) = shortest.last().map(|p| f64::from(p.0)) else { return Vec::new() };
-    let mut at: Vec<usize> = (0..100)
-        .map(|i| last.powf(f64::from(i) / 99.0))
-        .map(|n| shortest.partition_point(|p| f64::from(p.0) < n - 0.5).min(shortest.len() - 1))
-        .collect();
+    let nearest = |n: f64| shortest.partition_point(|p| f64::from(p.0) < n - 0.5).min(shortest.len() - 1);
+    let mut at: Vec<usize> = (0..100).map(|i| nearest(last.powf(f64::from(i) / 99.0))).collect();
     at.dedup();
-    at.into_iter()
-        .filter_map(|place| {
-            let n = shortest[place].0;
-            let value = |c: &&Vec<CurvePoint>| Some(c[c.binary_search_by_key(&n, |p| p.0).ok()?].1);
-            let mut values: Vec<f64> = curves.iter().filter_map(value).filter(|v| v.is_finite()).collect();
-            values.sort_by(f64::total_cmp);
-            let of = |q| quantile(&values, q);
-            (!values.is_empty()).then(|| (f64::from(n), of(0.25), of(0.5), of(0.75)))
-        })
-        .collect()
+    let quartiles = |place: usize| {
+        let n = shortest[place].0;
+        let value = |c: &&Vec<CurvePoint>| Some(c[c.binary_search_by_key(&n, |p| p.0).ok()?].1);
+        let mut values: Vec<f64> = curves.iter().filter_map(value).filter(|v| v.is_finite()).collect();
+        values.sort_by(f64::total_cmp);
+        let of = |q| quantile(&values, q);
+        (!values.is_empty()).then(|| (f64::from(n), of(0.25), of(0.5), of(0.75)))
+    };
+    at.into_iter().filter_map(quartiles).collect()
 }
 
 /// Error against design parameters, with the law if it is identified.

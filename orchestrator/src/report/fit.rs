@@ -61,14 +61,11 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             let label = format!("{name} of unit {unit} ({units})");
             let time = |n: usize| (n + 1) as f64 * dt;
             // Curves of a bad start are cut at the frame, so that they do not set its scale.
-            let reach = measured.iter().chain(&fitted).fold(0.0f64, |m, y| m.max(y.abs()));
-            let reach = 1.15 * scale * reach;
-            let mut plot = Plot::new(
-                &format!("Record {r}: misfit {} %", number(misfit(r))),
-                Axis::new("time (s)", Scale::Linear, [0.0, trial.time.duration]),
-                Axis::new(&label, Scale::Linear, [-reach, reach]),
-            )
-            .sized(560.0, 260.0);
+            let most = measured.iter().chain(&fitted).fold(0.0f64, |m, y| m.max(y.abs()));
+            let (title, reach) = (format!("Record {r}: misfit {} %", number(misfit(r))), 1.15 * scale * most);
+            let x = Axis::new("time (s)", Scale::Linear, [0.0, trial.time.duration]);
+            let y = Axis::new(&label, Scale::Linear, [-reach, reach]);
+            let mut plot = Plot::new(&title, x, y).sized(560.0, 260.0);
             let points = |v: &[f64]| -> Vec<(f64, f64)> {
                 v.iter().enumerate().map(|(n, y)| (time(n), (scale * y).clamp(-reach, reach))).collect()
             };
@@ -79,9 +76,8 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             // Thin on wide: both lines are visible where they agree.
             plot.line("truth", points(&measured));
             pictures.push(plot.picture());
-            for n in 0..instants {
-                rows.push(row![r, unit, name, time(n), measured[n], started[n], fitted[n]]);
-            }
+            let row = |n: usize| row![r, unit, name, time(n), measured[n], started[n], fitted[n]];
+            rows.extend((0..instants).map(row));
         }
     }
     Figure::new(

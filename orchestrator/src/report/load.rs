@@ -16,7 +16,7 @@ use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Answer, Data, MOST_ROWS, Table};
 use crate::provenance;
 use crate::reader::{Reader, Row};
-use crate::store::{StoreError, check, npy_values};
+use crate::store::StoreError;
 use metasense_schemas::reason::CANCELLED;
 
 /// Parts of the time of an outer step: columns of `v_step` and words.
@@ -228,15 +228,7 @@ impl Loader<'_> {
             let numbered =
                 name.rsplit_once('_').and_then(|(b, n)| Some((body_named(b)?, n.parse::<usize>().ok()?)));
             let Some((body, network)) = numbered else { return Ok(()) };
-            check(
-                &trial.hash,
-                &format!("array {}", row.text("name")),
-                row.bytes("bytes"),
-                row.bytes("digest"),
-            )?;
-            let losses = npy_values::<f32>(row.bytes("bytes")).map_err(|e| {
-                StoreError::unreadable(&trial.hash, "array", format!("{}: {e}", row.text("name")))
-            })?;
+            let losses = row.array(&trial.hash).values::<f32>()?;
             let curve: Vec<CurvePoint> =
                 losses.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
             *curve_of(&mut curves(trial)[body as usize], network) = thinned(&curve);
@@ -334,17 +326,11 @@ impl Loader<'_> {
         self.each(&sql, |trial, row| {
             let named = body_named(row.text("body"))
                 .zip(CastDecoder::named(row.text("reader"), row.count("records") as u32));
-            let errors = [row.number("middle"), row.number("most")];
-            if let (Some((body, by)), [Some(middle), Some(most)]) = (named, errors) {
+            let errors = row.number("middle").zip(row.number("most")).map(<[f64; 2]>::from);
+            if let (Some((body, decoder)), Some(errors)) = (named, errors) {
                 let (casts, failed) = (row.count("count"), row.count("failed"));
-                trial.casts.push(CastReading {
-                    body,
-                    decoder: by,
-                    casts,
-                    failed,
-                    errors: [middle, most],
-                    median: row.number("sample_median"),
-                });
+                let median = row.number("sample_median");
+                trial.casts.push(CastReading { body, decoder, casts, failed, errors, median });
             }
             Ok(())
         })
@@ -426,20 +412,14 @@ pub async fn verdicts(
 }
 
 async fn sweeps(reader: &mut Reader) -> Result<Vec<Sweep>, StoreError> {
-    let mut sweeps = Vec::new();
-    reader
-        .each(
-            "SELECT name, text, version, created_at, spec->'$.goal' IS NOT NULL AS searched
-             FROM sweep ORDER BY created_at, name",
-            |row| {
-                let columns = ["name", "text", "version", "created_at"];
-                let [name, text, version, created_at] = columns.map(|column| row.text(column).to_owned());
-                sweeps.push(Sweep { name, text, version, created_at, searched: row.count("searched") == 1 });
-                Ok::<_, StoreError>(())
-            },
-        )
-        .await?;
-    Ok(sweeps)
+    let columns = ["name", "text", "version", "created_at"];
+    let sql = "SELECT name, text, version, created_at, spec->'$.goal' IS NOT NULL AS searched
+         FROM sweep ORDER BY created_at, name";
+    let sweeps = reader.rows(sql, |row| {
+        let [name, text, version, created_at] = columns.map(|column| row.text(column).to_owned());
+        Sweep { name, text, version, created_at, searched: row.count("searched") == 1 }
+    });
+    sweeps.await
 }
 
 /// Columns of trials on the page, after hash, state, reason and settings that vary.
@@ -473,7 +453,7 @@ async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, S
     let [state, reason] = ["state", "reason"].map(|name| first.column(name));
     let mut states = States { first, ..States::default() };
     reader
-        .each(&sql, |row| {
+        .rows(&sql, |row| {
             let mut values = row.values();
             data.row(&values);
             states.all += 1;
@@ -484,7 +464,6 @@ async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, S
                 values.truncate(shown);
                 states.first.rows.push(values);
             }
-            Ok::<_, StoreError>(())
         })
         .await?;
     states.first.leave_out_spread();

@@ -28,7 +28,7 @@ use crate::look::{Answer, Figure, Table, answers as listed, contents, download, 
 use crate::reader::{CodeVersion, StoredTrial};
 
 /// All data of a report.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct ReportData {
     /// The sweeps, with their specs.
     pub sweeps: Vec<Sweep>,
@@ -64,7 +64,7 @@ pub struct States {
 }
 
 /// A sweep in the database.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Sweep {
     /// Its name.
     pub name: String,
@@ -81,7 +81,7 @@ pub struct Sweep {
 /// The figures of a story, and why some are missing.
 pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<String>) {
     let trials = &story.trials;
-    let mut drawn: Vec<Figure> = [
+    let first = [
         search::figure(&story.searches),
         figures::pairs(trials),
         brains::figure(trials),
@@ -91,10 +91,8 @@ pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<Strin
         figures::sensors(trials, story.terms),
         figures::placed_sensors(trials),
         figures::random_bodies(trials),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
+    ];
+    let mut drawn: Vec<Figure> = first.into_iter().flatten().collect();
     let replayed = match &story.stored {
         Some(stored) if !stored.spec().body.kind.is_polygons() => {
             Ok(body::drawn(stored).into_iter().collect())
@@ -106,12 +104,8 @@ pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<Strin
         None => Err("no trial's designs are stored".into()),
     };
     let rest = [figures::losses(trials), figures::complexity(trials), figures::run_time(trials)];
-    let (replayed, missing) = match replayed {
-        Ok(figures) => (figures, None),
-        Err(why) => (Vec::new(), Some(why)),
-    };
-    drawn.extend(replayed);
-    drawn.extend(rest.into_iter().flatten());
+    let missing = replayed.as_ref().err().cloned();
+    drawn.extend(replayed.into_iter().flatten().chain(rest.into_iter().flatten()));
     (drawn, missing)
 }
 
@@ -212,23 +206,8 @@ mod tests {
     /// A sweep that was edited and run again is named once, where it was first.
     #[test]
     fn the_title_names_each_sweep_once() {
-        let sweep = |name: &str| Sweep {
-            name: name.into(),
-            text: String::new(),
-            version: String::new(),
-            created_at: String::new(),
-            searched: false,
-        };
-        let story = ReportData {
-            sweeps: ["b", "a", "b"].map(sweep).into(),
-            states: States::default(),
-            trials: vec![],
-            code_versions: vec![],
-            caveats: vec![],
-            stored: None,
-            terms: Terms::default(),
-            searches: vec![],
-        };
+        let sweep = |name: &str| Sweep { name: name.into(), ..Sweep::default() };
+        let story = ReportData { sweeps: ["b", "a", "b"].map(sweep).into(), ..ReportData::default() };
         assert!(html(story, &[], None).contains("<title>metasense: b, a</title>"));
     }
 }

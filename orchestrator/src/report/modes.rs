@@ -20,12 +20,8 @@ const LEGEND: [(&str, &str); 3] =
 
 /// Number, frequency and damping ratio of a mode.
 pub fn title(n: usize, mode: &Mode) -> String {
-    format!(
-        "{}: {}\u{a0}Hz, {}\u{a0}%",
-        n + 1,
-        number(mode.frequency()),
-        number(100.0 * mode.damping_ratio())
-    )
+    let [hz, percent] = [mode.frequency(), 100.0 * mode.damping_ratio()].map(number);
+    format!("{}: {hz}\u{a0}Hz, {percent}\u{a0}%", n + 1)
 }
 
 /// The row of a mode.

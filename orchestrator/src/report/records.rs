@@ -132,31 +132,23 @@ impl Comparison {
             });
             let promised = ratio(SignalSource::Simulated)
                 .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
-            let text = format!(
-                "On {} the error of the {} body is {} times that of the {} body{interval}{promised}.",
-                if body.by == SignalSource::Holdout { "the held-out set" } else { "unseen records" },
-                self.bodies[0].name,
-                number(found.ratio),
-                body.name
-            );
+            let (first, name, ratio) = (&self.bodies[0].name, &body.name, number(found.ratio));
+            let set = if body.by == SignalSource::Holdout { "the held-out set" } else { "unseen records" };
+            let than = format!("{ratio} times that of the {name} body{interval}{promised}");
+            let text = format!("On {set} the error of the {first} body is {than}.");
             said.push(Answer::new("", verdict, text));
         }
         for (body, judged) in self.bodies.iter().zip(&self.judged) {
             let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
             let held = |said: InverseResults| {
-                let (n, left) = (judged.errors.len(), said.unconverged);
-                format!(
-                    ", {} % of the true forces in its 95 % bands, {left} of {n} not converged",
-                    number(said.coverage)
-                )
+                let (n, left, held) = (judged.errors.len(), said.unconverged, number(said.coverage));
+                format!(", {held} % of the true forces in its 95 % bands, {left} of {n} not converged")
             };
             let (name, error, n) = (&body.name, shown(judged.error()), judged.errors.len());
             let mut text = match judged.posterior {
                 Some(said) => {
-                    format!(
-                        "The {name} body: error {error} % on {n} records with its model inverted{}",
-                        held(said)
-                    )
+                    let held = held(said);
+                    format!("The {name} body: error {error} % on {n} records with its model inverted{held}")
                 }
                 None => format!(
                     "The {name} body: error {error} % on {n} records not used to train its network, {} % on its training \
@@ -258,20 +250,12 @@ impl Comparison {
                 if self.paired { String::new() } else { format!("{}, ", self.bodies[bodies[0]].name) };
             Strip { title: format!("{whose}record {record}: {} %", errors.join(" → ")), sources, bands }
         };
-        let body_indices: Vec<usize> = (0..self.bodies.len()).collect();
-        let chosen = |b: usize| representative(&judged[b].errors, 0..judged[b].errors.len());
-        let samples: Vec<Strip> = if self.paired {
-            chosen(body_indices[body_indices.len() - 1])
-                .into_iter()
-                .map(|record| strip(record, &body_indices))
-                .collect()
-        } else {
-            body_indices
-                .iter()
-                .flat_map(|&b| chosen(b).into_iter().map(move |r| (b, r)))
-                .map(|(b, r)| strip(r, &[b]))
-                .collect()
-        };
+        let all: Vec<usize> = (0..self.bodies.len()).collect();
+        let mut samples = Vec::new();
+        for some in all.chunks(if self.paired { all.len() } else { 1 }) {
+            let errors = &judged[some[some.len() - 1]].errors;
+            samples.extend(representative(errors, 0..errors.len()).into_iter().map(|r| strip(r, some)));
+        }
         let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
         let (pictures, step) = strips(&samples, &names, " N", self.duration, true);
         let mut entries = legend(&[("truth", "true force")]);
@@ -306,13 +290,11 @@ impl Comparison {
         // if joined, only records with an error on all bodies
         let has_all_errors =
             |i: usize| (0..self.bodies.len()).all(|b| !self.paired || judged[b].errors[i].is_some());
-        let bodies: Vec<Errors> = (0..self.bodies.len())
-            .map(|b| Errors {
-                class: class(b),
-                body: &self.bodies[b].name,
-                errors: known(b).filter(|(i, _)| has_all_errors(*i)).collect(),
-            })
-            .collect();
+        let of = |b: usize| {
+            let errors = known(b).filter(|(i, _)| has_all_errors(*i)).collect();
+            Errors { class: class(b), body: &self.bodies[b].name, errors }
+        };
+        let bodies: Vec<Errors> = (0..self.bodies.len()).map(of).collect();
         let label = match self.paired {
             true => format!("records, by the error of {}", self.bodies[0].name),
             false => "records of each body, by their error".to_owned(),

@@ -165,11 +165,8 @@ impl Replayed {
         };
         let mut pairs: Vec<(usize, f64, f64)> = self.test.iter().filter_map(pair).collect();
         pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let bodies = Body::ALL.map(|body| Errors {
-            class: body.name(),
-            body: body.word(),
-            errors: pairs.iter().map(|p| (p.0, [p.1, p.2][body as usize])).collect(),
-        });
+        let errors = |body: Body| pairs.iter().map(|p| (p.0, [p.1, p.2][body as usize])).collect();
+        let bodies = Body::ALL.map(|b| Errors { class: b.name(), body: b.word(), errors: errors(b) });
         let plot = dots("Each test sample", "test samples, by the initial body's error", &bodies, true);
         let better = pairs.iter().filter(|p| p.2 < p.1).count();
         Figure::new(
@@ -213,10 +210,8 @@ impl Replayed {
         let spec = &self.stored.specs[Body::Optimised as usize];
         match metasense_worker::problem::layout(&spec.body) {
             Ok(layout) if !spec.feasible.limits => {
-                format!(
-                    " Designs are not limited: in the trained body {}.",
-                    overlaps(&layout, &self.stored.designs[1])
-                )
+                let found = overlaps(&layout, &self.stored.designs[1]);
+                format!(" Designs are not limited: in the trained body {found}.")
             }
             _ => String::new(),
         }

@@ -102,9 +102,8 @@ impl SearchState {
     /// The requirement in words.
     fn requirement(&self) -> String {
         let goal = &self.space.goal;
-        let of = goal
-            .quantile
-            .map_or(String::new(), |q| format!(" at the {:.0}th percentile of casts", 100.0 * q));
+        let of_casts = |q: f64| format!(" at the {:.0}th percentile of casts", 100.0 * q);
+        let of = goal.quantile.map_or(String::new(), of_casts);
         let unit = |name: &str| {
             let mut known = tasks::Task::ALL.into_iter().map(tasks::Task::name);
             known.find(|(task, _)| *task == name).map_or("", |(_, unit)| unit)
@@ -193,13 +192,10 @@ impl SearchState {
             let (mark, _) = STAGES[place(class.stage)];
             let [expected, kept] = class.error;
             plot.line(&format!("{mark} fine"), [(i as f64, expected), (i as f64, kept)]);
+            let (hash, stage, meets) = (&self.trial(class).hash, self.said(class.stage), 100.0 * class.meets);
+            let [error, most] = class.error.map(number);
             let text = format!(
-                "{}, {}: {} % expected, keeps to {} %, probability of meeting it: {:.0} %",
-                self.trial(class).hash,
-                self.said(class.stage),
-                number(expected),
-                number(kept),
-                100.0 * class.meets
+                "{hash}, {stage}: {error} % expected, keeps to {most} %, probability of meeting it: {meets:.0} %"
             );
             plot.dots(mark, [((i as f64, expected), text.clone())]);
             if self.decision.chosen == Some(class.best) {

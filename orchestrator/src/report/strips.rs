@@ -69,12 +69,8 @@ pub fn strips(
     let residuals = |sample: &Strip| -> Vec<(String, Curve)> {
         let truth = &sample.sources[0].1;
         let off = |(truth, curve): (&Curve, &Curve)| -> Curve {
-            let begun = truth.len() - curve.len();
-            curve
-                .iter()
-                .zip(&truth[begun..])
-                .map(|(found, true_one)| (found.0, found.1 - true_one.1))
-                .collect()
+            let pairs = curve.iter().zip(&truth[truth.len() - curve.len()..]);
+            pairs.map(|((t, found), (_, truth))| (*t, found - truth)).collect()
         };
         let of = |(class, curves): &(String, Vec<Curve>)| -> Vec<(String, Curve)> {
             truth.iter().zip(curves).map(|both| (class.clone(), off(both))).collect()
@@ -110,12 +106,9 @@ pub fn strips(
             let value = mark(worst);
             ticks.extend([(0.0, "residual".into()), (part * value, format!("{}{unit}", number(value)))]);
         }
-        let mut plot = Plot::new(
-            title,
-            Axis::new("time (s)", Scale::Linear, window),
-            Axis::new("", Scale::Linear, range).with_names(ticks),
-        )
-        .sized(400.0, height);
+        let x = Axis::new("time (s)", Scale::Linear, window);
+        let y = Axis::new("", Scale::Linear, range).with_names(ticks);
+        let mut plot = Plot::new(title, x, y).sized(400.0, height);
         for k in 0..names.len() {
             for (class, _) in &sample.bands {
                 let lifted = |(t, low, high)| (t, zero(k) + low, zero(k) + high);
@@ -135,11 +128,9 @@ pub fn strips(
     };
     let both = |sample: &Strip| {
         let near = sample.blows().filter(|[from, to]| estimates && to - from < 0.7 * duration);
-        let near = near.map(|[from, to]| [from.max(0.0), to.min(duration)]);
-        let whole = draw(sample, &sample.title, [0.0, duration]);
-        std::iter::once(whole)
-            .chain(near.map(|window| draw(sample, &format!("{}, at the blows", sample.title), window)))
-            .collect::<Vec<_>>()
+        let title = format!("{}, at the blows", sample.title);
+        let near = near.map(|[from, to]| draw(sample, &title, [from.max(0.0), to.min(duration)]));
+        std::iter::once(draw(sample, &sample.title, [0.0, duration])).chain(near)
     };
     (samples.iter().flat_map(both).collect(), step)
 }

@@ -75,20 +75,13 @@ impl Setting<'_> {
         if self.trainings.len() < 2 {
             return None;
         }
-        let ratios: Vec<Vec<Option<Ratio>>> = self
-            .tasks
-            .iter()
-            .map(|task| self.trainings.iter().map(|training| self.ratio(task, training)).collect())
-            .collect();
+        let of = |task: &&str| self.trainings.iter().map(|training| self.ratio(task, training)).collect();
+        let ratios: Vec<Vec<Option<Ratio>>> = self.tasks.iter().map(of).collect();
         let most = ratios.iter().flatten().flatten().map(|found| found.ratio.ln()).fold(1e-9, f64::max);
         let cell = |(found, training): (&Option<Ratio>, &&str)| {
-            let cell = |found: &Ratio| Cell {
-                text: number(found.ratio),
-                part: (found.ratio.ln() / most).clamp(0.0, 1.0),
-                title: told(training, found),
-                to: None,
-            };
-            found.as_ref().map(cell).unwrap_or_default()
+            let Some(found) = found else { return Cell::default() };
+            let part = (found.ratio.ln() / most).clamp(0.0, 1.0);
+            Cell { text: number(found.ratio), part, title: told(training, found), to: None }
         };
         let cells: Vec<Vec<Cell>> =
             ratios.iter().map(|row| row.iter().zip(&self.trainings).map(cell).collect()).collect();
@@ -110,10 +103,8 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs = in_steps(trials);
     let all = results(&refs);
     let found = settings(&all);
-    let names: Vec<&str> = distinct_names(found.iter().flat_map(|setting| setting.trainings.iter().copied()))
-        .into_iter()
-        .take(CLASSES.len() - 1)
-        .collect();
+    let mut names = distinct_names(found.iter().flat_map(|setting| setting.trainings.iter().copied()));
+    names.truncate(CLASSES.len() - 1);
     let shown = || found.iter().take(MOST_SETTINGS);
     let mut pictures: Vec<Picture> = shown().map(|setting| setting.gains(&names)).collect();
     pictures.extend(details(&refs));
@@ -130,11 +121,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
              of the dots by the task for which the body was trained, for all trainings.{}",
             left_out(found.len(), MOST_SETTINGS)
         ),
-        names
-            .iter()
-            .zip(&CLASSES[1..])
-            .map(|(name, class)| (*class, format!("trained for {name}")))
-            .collect(),
+        names.iter().zip(&CLASSES[1..]).map(|(by, class)| (*class, format!("trained for {by}"))).collect(),
         pictures,
         || Question::Tasks.answer(trials, Terms::default()),
     )
@@ -224,11 +211,9 @@ fn means(
     let classes = distinct(sums.iter().flat_map(|sums| sums.keys().copied()));
     let mean = |[count, sum]: &[f64; 2]| sum / count;
     let most = sums.iter().flat_map(BTreeMap::values).map(mean).fold(f64::MIN_POSITIVE, f64::max);
-    let cell = |sum: &[f64; 2]| Cell {
-        text: number(mean(sum)),
-        part: mean(sum) / most,
-        title: format!("{}, {} samples", number(mean(sum)), sum[0]),
-        to: None,
+    let cell = |sum: &[f64; 2]| {
+        let (text, part) = (number(mean(sum)), mean(sum) / most);
+        Cell { title: format!("{text}, {} samples", sum[0]), text, part, to: None }
     };
     let row = |sums: &BTreeMap<u32, [f64; 2]>| {
         classes.iter().map(|class| sums.get(class).map(cell).unwrap_or_default()).collect()

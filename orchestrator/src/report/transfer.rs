@@ -35,11 +35,8 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
             let read = setting.read(body, kind)?;
             let (own, carried) = (read.own.ratio, read.carried.map(|carried| carried.ratio));
             let carried = carried.unwrap_or(own);
-            let text = format!(
-                "{name}, under {kind}: {} % (decoder of the training forces: {} %)",
-                number(own),
-                number(carried)
-            );
+            let [at, to] = [own, carried].map(number);
+            let text = format!("{name}, under {kind}: {at} % (decoder of the training forces: {to} %)");
             Some((i as f64 + aside(n, names.len()), [own, carried], text))
         };
         Some((class, setting.kinds.iter().enumerate().filter_map(mark).collect()))

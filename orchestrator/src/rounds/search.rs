@@ -48,11 +48,9 @@ pub async fn search<R: Runs>(
             return Ok(None);
         }
         round.say(&intent(space, &decision));
-        let trials: Vec<Trial> = decision
-            .work
-            .iter()
-            .flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work))
-            .collect();
+        let work = decision.work.iter();
+        let trials = work.flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work));
+        let trials: Vec<Trial> = trials.collect();
         match round.run(&trials, RerunPolicy::default()).await? {
             Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
             Some(Outcome::Complete) => {}
@@ -95,14 +93,11 @@ fn intent(space: &Space, decision: &Decision) -> String {
         (count(|w| *w == Work::Screen), format!("screen on {} fresh seeds", goal.fresh)),
         (count(|w| matches!(w, Work::Confirm(_))), format!("confirm on {} other seeds", confirming(goal))),
     ];
-    let parts: Vec<String> = parts
-        .iter()
-        .filter(|(n, _)| *n > 0)
-        .map(|(n, what)| format!("{what}: {n} {}", if *n == 1 { "body" } else { "bodies" }))
-        .collect();
+    let parts = parts.iter().filter(|(n, _)| *n > 0);
+    let parts = parts.map(|(n, what)| format!("{what}: {n} {}", if *n == 1 { "body" } else { "bodies" }));
     format!(
         "{} (probability that the cheapest class among them contains a design with an error of at most {} %: {:.0} %)",
-        parts.join("; "),
+        parts.collect::<Vec<_>>().join("; "),
         number(goal.error),
         100.0 * decision.open
     )

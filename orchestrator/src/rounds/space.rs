@@ -89,16 +89,12 @@ impl Space {
         for (l, limit) in limits.iter().enumerate() {
             let beyond: Vec<f64> =
                 asked.iter().map(|asks| asks[l]).filter(|asked| *asked > limit.most).collect();
-            let admitting_limit = match beyond.iter().copied().fold(f64::INFINITY, f64::min) {
+            let least = match beyond.iter().copied().fold(f64::INFINITY, f64::min) {
                 f64::INFINITY => "a decoder that can be exported for devices".into(),
                 least => format!("{} {}", number(least), limit.unit),
             };
             if !beyond.is_empty() {
-                left_out.push(ExcludedTrials {
-                    key: limit.key,
-                    trials: beyond.len(),
-                    least: admitting_limit,
-                });
+                left_out.push(ExcludedTrials { key: limit.key, trials: beyond.len(), least });
             }
         }
         if places.is_empty() {
@@ -203,10 +199,8 @@ fn tasks_are_estimated(goal: &Goal, trial: &TrialSpec) -> Result<(), (String, St
     let Some(tasks) = &goal.tasks else { return Ok(()) };
     let wrong = |key: &str, remedy: &str| (key.to_owned(), remedy.to_owned());
     if trial.evaluation.tasks != Some(true) {
-        return Err(wrong(
-            "goal.tasks",
-            "applies to trials that estimate tasks: set evaluation.tasks = true",
-        ));
+        let remedy = "applies to trials that estimate tasks: set evaluation.tasks = true";
+        return Err(wrong("goal.tasks", remedy));
     }
     let varied = problem::varied_tasks(trial).map_err(|e| wrong(&e.key, &e.remedy))?;
     match tasks.keys().find(|task| !varied.contains(&task.name())) {
@@ -222,13 +216,11 @@ fn tasks_are_estimated(goal: &Goal, trial: &TrialSpec) -> Result<(), (String, St
 /// coordinates from 0 to 1: scaled logarithms of numbers, one coordinate per value of anything else.
 fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
     const NOT: [&str; 2] = ["point.placement", "point.seed"];
-    let all: Vec<BTreeMap<String, Value>> = trials
-        .iter()
-        .map(|trial| {
-            let spec = TrialSpec { sensor_units: Vec::new(), panel_units: Vec::new(), ..trial.spec.clone() };
-            flatten(&serde_json::to_value(&spec).expect("a trial is JSON"))
-        })
-        .collect();
+    let leaves = |trial: &&Trial| {
+        let spec = TrialSpec { sensor_units: Vec::new(), panel_units: Vec::new(), ..trial.spec.clone() };
+        flatten(&serde_json::to_value(&spec).expect("a trial is JSON"))
+    };
+    let all: Vec<BTreeMap<String, Value>> = trials.iter().map(leaves).collect();
     let mut paths: Vec<&String> =
         all.iter().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().collect();
     // keys of the sweep precede keys that follow from them

@@ -127,11 +127,8 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
     match event {
         Event::Clock(now) => state.clock(now, out),
         Event::Up(worker) => state.up(worker),
-        Event::Beat(worker, lease) => {
-            if state.holds(worker, lease) {
-                state.beat(worker);
-            }
-        }
+        Event::Beat(worker, lease) if state.holds(worker, lease) => state.beat(worker),
+        Event::Beat(..) => {}
         Event::Step(worker, lease, ..)
         | Event::Saved(worker, lease, _)
         | Event::Finished(worker, lease, _)
@@ -347,16 +344,12 @@ impl State {
         let (now, settings) = (self.now, &self.settings);
         let waited_out = self.stop.stage != Stopping::No && now > self.stop.since + settings.grace;
         for (worker, slot) in with_workers(&mut self.slots) {
-            let too_long = |since| settings.time_limit.is_some_and(|limit| now > since + limit);
-            let is_silent = |beat| now > beat + settings.no_progress;
+            let late = |since| settings.time_limit.is_some_and(|limit| now > since + limit);
+            let quiet = |beat| now > beat + settings.no_progress;
             let (lease, why) = match slot.work {
                 SlotState::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
-                SlotState::Busy { lease, beat, .. } if is_silent(beat) => {
-                    (Some(lease), Some(Reason::NoProgress))
-                }
-                SlotState::Busy { lease, since, .. } if too_long(since) => {
-                    (Some(lease), Some(Reason::TimeLimit))
-                }
+                SlotState::Busy { lease, beat, .. } if quiet(beat) => (Some(lease), Some(Reason::NoProgress)),
+                SlotState::Busy { lease, since, .. } if late(since) => (Some(lease), Some(Reason::TimeLimit)),
                 SlotState::Starting { since } if now > since + STARTING_MAX => (None, None),
                 SlotState::Ending { lease, since, why } if now > since + ENDING_MAX => (lease, why),
                 _ => continue,

@@ -294,16 +294,11 @@ async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
             ],
             false => vec![figures::sensors(&trials, terms), figures::placed_sensors(&trials)],
         };
-        let mut first_answers = answers::answers(&trials, terms);
-        let further_answers = first_answers.len().saturating_sub(MOST_SAID);
-        first_answers.truncate(MOST_SAID);
-        Answers {
-            trial_count: trials.len(),
-            said: first_answers,
-            left: further_answers,
-            figures: drawn.into_iter().flatten().collect(),
-            seconds: begun.elapsed().as_secs_f64(),
-        }
+        let mut said = answers::answers(&trials, terms);
+        let left = said.len().saturating_sub(MOST_SAID);
+        said.truncate(MOST_SAID);
+        let (figures, seconds) = (drawn.into_iter().flatten().collect(), begun.elapsed().as_secs_f64());
+        Answers { trial_count: trials.len(), said, left, figures, seconds }
     };
     let worked = tokio::task::spawn_blocking(work).await;
     Ok(worked.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic())))

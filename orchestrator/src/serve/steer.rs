@@ -26,10 +26,8 @@ pub async fn post(
 ) -> Result<String, (StatusCode, String)> {
     let refuse = |status: StatusCode, why: &str| Err((status, why.to_owned()));
     if !served.steering.as_ref().zip(bearer(&headers)).is_some_and(|(token, given)| token.is(given)) {
-        return refuse(
-            StatusCode::UNAUTHORIZED,
-            "needs the token of the address that `metasense serve` printed",
-        );
+        let why = "needs the token of the address that `metasense serve` printed";
+        return refuse(StatusCode::UNAUTHORIZED, why);
     }
     let Some(db) = source(&served, &at).ok().and_then(|source| source.db.as_ref()) else {
         return refuse(StatusCode::NOT_FOUND, "no such database, or it is a folder of shards");
@@ -86,13 +84,8 @@ pub fn of_run(served: &ServerState, at: &str) -> Markup {
             button value="workers" { "Set" }
         }
     };
-    panel(
-        served,
-        (at, "control"),
-        "Control the run",
-        &buttons.map(|(line, text)| (line.to_owned(), text)),
-        &workers,
-    )
+    let buttons = buttons.map(|(line, text)| (line.to_owned(), text));
+    panel(served, (at, "control"), "Control the run", &buttons, &workers)
 }
 
 /// Controls of a trial that is not done.

@@ -143,13 +143,11 @@ impl Keeper {
         // new trials may reuse the ids of removed ones
         let (mut known, mut others) = (0, false);
         let (places, rows) = (&self.places, &self.now.rows);
-        let read_hashes = reader.each("SELECT id, hash FROM trial", |row| {
-            match places.get(&(row.count("id") as i64)) {
-                Some(&place) if rows[place].hash == row.text("hash") => known += 1,
-                Some(_) => others = true,
-                None => {}
-            }
-            Ok::<_, StoreError>(())
+        let sql = "SELECT id, hash FROM trial";
+        let read_hashes = reader.rows(sql, |row| match places.get(&(row.count("id") as i64)) {
+            Some(&place) if rows[place].hash == row.text("hash") => known += 1,
+            Some(_) => others = true,
+            None => {}
         });
         read_hashes.await?;
         if others || known < self.places.len() {
@@ -159,16 +157,13 @@ impl Keeper {
             self.take(reader, &format!("{ROWS} ORDER BY t.id")).await?;
         } else {
             // answered by an index alone
-            let mut changed = Vec::new();
             let (places, rows) = (&self.places, &self.now.rows);
-            let asked = reader.each("SELECT id, state FROM trial", |row| {
+            let asked = reader.rows("SELECT id, state FROM trial", |row| {
                 let (id, state) = (row.count("id") as i64, row.text("state"));
-                if state == "running" || places.get(&id).is_none_or(|&place| rows[place].state != state) {
-                    changed.push(id);
-                }
-                Ok::<_, StoreError>(())
+                let stale = state == "running" || places.get(&id).is_none_or(|&at| rows[at].state != state);
+                stale.then_some(id)
             });
-            asked.await?;
+            let mut changed: Vec<i64> = asked.await?.into_iter().flatten().collect();
             changed.sort_unstable();
             for ids in changed.chunks(AT_ONCE) {
                 let ids: Vec<String> = ids.iter().map(i64::to_string).collect();
@@ -182,7 +177,7 @@ impl Keeper {
     async fn take(&mut self, reader: &mut Reader, sql: &str) -> Result<(), StoreError> {
         let known = self.settings.shared().count();
         reader
-            .each(sql, |row| {
+            .rows(sql, |row| {
                 let id = row.count("id") as i64;
                 let place = self.places.get(&id).copied();
                 let setting = match place {
@@ -190,13 +185,10 @@ impl Keeper {
                     // an invalid spec has no keys
                     None => self.settings.of(&serde_json::from_str(row.text("spec")).unwrap_or_default()),
                 };
-                let trial = Arc::new(TrialRow {
-                    hash: row.text("hash").to_owned(),
-                    state: row.text("state").to_owned(),
-                    reason: row.text("reason").to_owned(),
-                    numbers: NUMBERS.map(|(name, _)| row.number(name).unwrap_or(f64::NAN)),
-                    setting,
-                });
+                let [hash, state, reason] =
+                    ["hash", "state", "reason"].map(|column| row.text(column).to_owned());
+                let numbers = NUMBERS.map(|(name, _)| row.number(name).unwrap_or(f64::NAN));
+                let trial = Arc::new(TrialRow { hash, state, reason, numbers, setting });
                 match place {
                     Some(place) => self.now.rows[place] = trial,
                     None => {
@@ -204,7 +196,6 @@ impl Keeper {
                         self.now.rows.push(trial);
                     }
                 }
-                Ok::<_, StoreError>(())
             })
             .await?;
         if self.settings.shared().count() != known {
@@ -279,12 +270,10 @@ impl Term {
         let bare = value.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
         match key.is_empty() || bare.unwrap_or(value).contains('"') {
             true => Err(none()),
-            false => Ok(Self {
-                key: key.to_owned(),
-                relation,
-                value: bare.unwrap_or(value).to_owned(),
-                quoted: bare.is_some(),
-            }),
+            false => {
+                let (key, value) = (key.to_owned(), bare.unwrap_or(value).to_owned());
+                Ok(Self { key, relation, value, quoted: bare.is_some() })
+            }
         }
     }
 

@@ -99,16 +99,9 @@ impl Store {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
         }
         add_schema(&mut connection, version).await.map_err(at)?;
-        let mut store = Self {
-            presence: Presence::new(Arc::clone(&lock), &path),
-            connection,
-            path,
-            ids: HashMap::new(),
-            sweep: None,
-            in_batch: false,
-            provenance: None,
-            begun: HashMap::new(),
-        };
+        let presence = Presence::new(Arc::clone(&lock), &path);
+        let (ids, begun, sweep, in_batch, provenance) = Default::default();
+        let mut store = Self { presence, connection, path, ids, sweep, in_batch, provenance, begun };
         store.release_orphans().await?;
         // the write-ahead log exists now
         store.presence = Presence::new(lock, &store.path);

@@ -45,10 +45,8 @@ impl Store {
         // Safe: contains only our own SQL.
         let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
         let (code, simd) = self.provenance.as_ref().map(|made| (&made.code, &made.simd)).unzip();
-        let rows: Vec<(String, u32)> = bound!(sqlx::query_as(AssertSqlSafe(sql)); None::<i64>, code, simd)
-            .fetch_all(&mut self.connection)
-            .await
-            .map_err(self.at("reading"))?;
+        let query = bound!(sqlx::query_as::<_, (String, u32)>(AssertSqlSafe(sql)); None::<i64>, code, simd);
+        let rows = query.fetch_all(&mut self.connection).await.map_err(self.at("reading"))?;
         Ok(rows.into_iter().collect())
     }
 
@@ -141,15 +139,11 @@ impl Store {
 
     /// Progress of each open trial that was attempted, by hash.
     pub async fn attempted(&mut self) -> Result<HashMap<String, PriorProgress>> {
-        let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
-            "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
+        let sql = "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
              FROM trial t JOIN attempt a ON a.trial_id = t.id
-             WHERE t.state IN ('pending', 'running') GROUP BY t.id",
-        )
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(self.at("reading"))?;
-        let progress = |(hash, attempts, steps)| (hash, PriorProgress { attempts, steps });
+             WHERE t.state IN ('pending', 'running') GROUP BY t.id";
+        let progress = |(hash, attempts, steps): (String, _, _)| (hash, PriorProgress { attempts, steps });
+        let rows = sqlx::query_as(sql).fetch_all(&mut self.connection).await.map_err(self.at("reading"))?;
         Ok(rows.into_iter().map(progress).collect())
     }
 }

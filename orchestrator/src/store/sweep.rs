@@ -78,23 +78,17 @@ impl Store {
 
     /// Hashes of the trials that are done or failed.
     pub async fn settled(&mut self) -> Result<Vec<String>> {
-        sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
-            .fetch_all(&mut self.connection)
-            .await
-            .map_err(self.at("reading"))
+        let hashes = sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')");
+        hashes.fetch_all(&mut self.connection).await.map_err(self.at("reading"))
     }
 
     /// Errors and CPU seconds of all trials that are done or failed.
     pub async fn trial_errors(&mut self) -> Result<Vec<TrialErrors>> {
-        let rows: Vec<(String, Option<f64>, Option<f64>, f64)> = sqlx::query_as(
-            "SELECT hash, holdout_error_initial, holdout_error_optimised, CAST(coalesce(seconds, 0) AS REAL)
-             FROM v_trial WHERE state IN ('done', 'failed')",
-        )
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(self.at("reading"))?;
+        let sql = "SELECT hash, holdout_error_initial, holdout_error_optimised,
+               CAST(coalesce(seconds, 0) AS REAL) FROM v_trial WHERE state IN ('done', 'failed')";
         let errors =
             |(hash, initial, optimised, seconds)| TrialErrors { hash, errors: [initial, optimised], seconds };
+        let rows = sqlx::query_as(sql).fetch_all(&mut self.connection).await.map_err(self.at("reading"))?;
         Ok(rows.into_iter().map(errors).collect())
     }
 }

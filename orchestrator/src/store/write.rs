@@ -73,10 +73,9 @@ impl Store {
     /// Last checkpoint of a trial; `None` without one. Fails with `Damaged`, or with `Unreadable` if it is of another version.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>> {
         let id = self.id(hash)?;
-        let stored = bound!(sqlx::query_as("SELECT bytes, digest FROM checkpoint WHERE trial_id = ?"); id)
-            .fetch_optional(&mut self.connection)
-            .await
-            .map_err(self.at("reading a checkpoint from"))?;
+        let query = bound!(sqlx::query_as("SELECT bytes, digest FROM checkpoint WHERE trial_id = ?"); id);
+        let stored = query.fetch_optional(&mut self.connection).await;
+        let stored = stored.map_err(self.at("reading a checkpoint from"))?;
         stored.map(|stored| read_checkpoint(hash, stored)).transpose()
     }
 

@@ -139,6 +139,7 @@ fn quoted_words(text: &str) -> String {
 pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place>), SpecError> {
     let mut all = Table::new();
     let mut places: Vec<Place> = Vec::new();
+    let mut given: Vec<String> = Vec::new();
     for (number, layer) in layers.iter().enumerate() {
         let own = layer.places(number)?;
         if let Some((place, why)) = own.iter().find_map(|place| Some((place, place.no_number.as_ref()?))) {
@@ -162,6 +163,17 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
             !(above.is_table && place.is_table) && above.key == place.key || within && !above.is_table
         };
         let counts = |place: &Place| place.key != BASE && !above.iter().any(|above| covers(above, place));
+        // the KEY of KEY=VALUE; later overrides may set keys of its table
+        if layer.is_override()
+            && let Some(place) = own.iter().rfind(|place| Some(place.at) < layer.text.find('='))
+        {
+            if given.contains(&place.key) || !counts(place) {
+                let value = &layer.text[place.value.clone()];
+                let what = format!("{} = {value}: is set twice; leave one out", place.key);
+                return Err(layer.error(place.at, place.key.clone(), what));
+            }
+            given.push(place.key.clone());
+        }
         places.extend(own.into_iter().filter(counts));
     }
     let head = layers.iter().find(|layer| layer.file == file).map_or("", |own| &own.text);

@@ -76,7 +76,7 @@ impl Source {
     /// Finds the keys of a spec's text, of its bases, and of overrides, each `KEY=VALUE`.
     ///
     /// # Errors
-    /// If a layer is not valid TOML or cannot be read, bases form a cycle, or an override has no effect.
+    /// If a layer is not valid TOML or cannot be read, bases form a cycle, or an override has no effect or is set twice.
     pub fn spec(file: impl AsRef<Path>, text: String, changes: &[String]) -> Result<Self, SpecError> {
         let own = Self::new(&file, text)?;
         let layers = Layer::all(&own, changes)?;
@@ -186,6 +186,9 @@ impl Source {
         };
         if let Some(linked) = key.strip_prefix(POINTS) {
             let linked = &linked.replace('"', "");
+            if place.is_table && !linked.contains('.') && known.contains(linked) {
+                return Err(self.wrong(place, &self.unquoted(place)));
+            }
             if !known.is_axis(linked) && !COUNTS.contains(&linked.as_str()) {
                 return no_axis(linked);
             }
@@ -215,6 +218,19 @@ impl Source {
             Some(why) => Err(self.wrong(place, why)),
             None => Ok(()),
         }
+    }
+
+    /// Returns the message for a table of an entry of `sweep.points` whose keys are not paths in quotes.
+    fn unquoted(&self, table: &Place) -> String {
+        let own = format!("{}.", table.key);
+        let after = |p: &&Place| p.layer == table.layer && p.at > table.at;
+        let inner = self.places.iter().filter(after).find(|p| !p.is_table && p.key.starts_with(&own));
+        let path = |p: &Place| p.key[POINTS.len()..].replace('"', "");
+        let quoted = match inner {
+            Some(inner) => format!("\"{}\" = {}", path(inner), self.value(inner)),
+            None => format!("\"{}.…\" = …", path(table)),
+        };
+        format!("must not be a table; write the path of each key in quotes: {quoted}")
     }
 
     /// Returns an error at this place, with its value.
@@ -275,8 +291,9 @@ impl Source {
         let mut tables = successors(key.rsplit_once('.'), |(table, _)| table.rsplit_once('.'));
         let place = stated.or_else(|| tables.find_map(|(table, _)| exact(table)));
         let value = value.map(shortened).or_else(|| stated.filter(|p| !p.is_table).map(|p| self.value(p)));
+        let remedy = remedy.split(' ').map(shortened).collect::<Vec<_>>().join(" ");
         let what = match (key, value) {
-            ("", _) => remedy.to_owned(),
+            ("", _) => remedy,
             (key, Some(value)) if !value.is_empty() => format!("{key} = {value}: {remedy}"),
             (key, _) => format!("{key}: {remedy}"),
         };

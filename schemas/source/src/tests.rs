@@ -193,8 +193,10 @@ fn changes_are_as_if_written() {
         assert!(GOOD.contains(from), "{from}");
         assert_eq!(spec, parse(&GOOD.replacen(from, to, 1)).unwrap(), "{change}");
     }
-    let (spec, source) = changed(&["body.rows=4", "body.rows=5", "run.workers=2"]).unwrap();
-    assert_eq!((spec.body.rows, spec.run.workers), (Some(5), Some(2)), "the last one counts");
+    let (spec, source) = changed(&["body.rows=5", "run.workers=2"]).unwrap();
+    assert_eq!((spec.body.rows, spec.run.workers), (Some(5), Some(2)));
+    let (refined, _) = changed(&["body.stiffness={ bend = 2.0 }", "body.stiffness.bend=3.0"]).unwrap();
+    assert_eq!(refined.body.stiffness.unwrap().bend, 3.0);
     assert_eq!(parse(&source.text).unwrap(), spec, "the text says all");
     assert_eq!(changed(&[]).unwrap().1.text, GOOD, "without changes it stays as it is");
 }
@@ -208,6 +210,11 @@ fn points_may_hold_tables() {
     let refused =
         parse(&point("\"variation.nodes\" = { scatter = 0.1, reach = 15.0 }")).unwrap_err().to_string();
     assert!(refused.contains("\"variation.nodes\".reach = 15.0: unknown key"), "{refused}");
+    for value in ["body.columns = 5", "body = { columns = 5 }"] {
+        let refused = parse(&point(value)).unwrap_err().to_string();
+        let expected = "sweep.points.body: must not be a table; write the path of each key in quotes: \"body.columns\" = 5";
+        assert!(refused.ends_with(expected), "{refused}");
+    }
 }
 
 #[test]
@@ -222,7 +229,15 @@ fn errors_of_changes_name_them() {
             &["body.rows=[5, 6]"],
             "command line: body.rows = [5, 6]: must be a whole number of at least 0; write an axis in [sweep]: sweep.\"body.rows\" = [ … ]",
         ),
-        (&["body.rows=1", "body.rows=six"], "command line: body.rows = \"six\": must be a whole number"),
+        (&["body.rows=1", "body.rows=six"], "command line: body.rows = 1: is set twice; leave one out"),
+        (
+            &["body.stiffness.bend=1", "body.stiffness={ bend = 2 }"],
+            "command line: body.stiffness.bend = 1: is set twice; leave one out",
+        ),
+        (
+            &["body.design={ random = 1 }", "body.design={ random = 2 }"],
+            "command line: body.design = { random = 1 }: is set twice; leave one out",
+        ),
         (&["body.spacing=nan"], "command line: body.spacing = nan: nan is not a finite number"),
         (&["sweep.body.column=[7]"], "command line: sweep.\"body.column\" = [7]: unknown key; the nearest"),
         (
@@ -256,6 +271,8 @@ fn errors_of_changes_name_them() {
     assert_eq!(source.error("body.rows", "no").to_string(), "command line: body.rows = 5: no");
     assert_eq!(source.error("body.columns", "no").to_string(), "a.toml:14: body.columns = [5, 6]: no");
     assert_eq!(source.error("body.spacing", "no").to_string(), "a.toml:5: body.spacing = 15.0: no");
+    let long = source.error("body.spacing", &format!("ends at {:.4} s", 1e300));
+    assert_eq!(long.what, "body.spacing = 15.0: ends at 1e300 s");
 }
 
 /// Writes files to a temporary folder.

@@ -35,8 +35,6 @@ pub trait Scalar:
     fn to_f64(self) -> f64;
     /// √self.
     fn sqrt(self) -> Self;
-    /// |self|.
-    fn abs(self) -> Self;
 }
 
 macro_rules! scalar {
@@ -54,10 +52,6 @@ macro_rules! scalar {
             #[inline(always)]
             fn sqrt(self) -> Self {
                 self.sqrt()
-            }
-            #[inline(always)]
-            fn abs(self) -> Self {
-                self.abs()
             }
         }
     };

@@ -207,8 +207,8 @@ fn raw(
             let place = format!("{:?}, record {i}", beside.unwrap_or(file).display().to_string());
             let one = || {
                 fit(signals, &force, &signal, trial).map_err(wrong_beside)?;
-                records::check_step(&picks[0], &force, duration).map_err(wrong)?;
-                records::check_step(&picks[1], &signal, duration).map_err(wrong_beside)?;
+                records::check_step(&picks[0], &force, trial.time).map_err(wrong)?;
+                records::check_step(&picks[1], &signal, trial.time).map_err(wrong_beside)?;
                 signal.start += start;
                 check_copies(&mut seen, &force, &signal, place).map_err(wrong_beside)?;
                 let read = [force.values.clone(), signal.values.clone()];

@@ -135,23 +135,15 @@ impl Process {
         limit: Duration,
         heartbeat: &Heartbeat,
     ) -> Result<(Value, Vec<f64>), Fault> {
-        let (mut request, mut at) = (request.clone(), 0);
-        let mut place = |name: &str, shape: &[usize], at: usize| {
-            let mut place = vec![at];
-            place.extend(shape);
-            request[name] = json!(place);
-            at + shape.iter().product::<usize>()
+        let (mut request, mut end) = (request.clone(), 0);
+        let mut place = |name: &str, shape: &[usize]| {
+            request[name] = json!([&[end][..], shape].concat());
+            let next = end + shape.iter().product::<usize>();
+            std::mem::replace(&mut end, next)
         };
-        let mut places = Vec::with_capacity(arrays.len());
-        for array in arrays {
-            places.push(at);
-            at = place(array.name, &array.shape, at);
-        }
-        let output = at;
-        if !name.is_empty() {
-            at = place(name, shape, at);
-        }
-        self.provide(8 * at as u64)
+        let places: Vec<usize> = arrays.iter().map(|array| place(array.name, &array.shape)).collect();
+        let output = if name.is_empty() { 0 } else { place(name, shape) };
+        self.provide(8 * end as u64)
             .map_err(|e| self.fault(BodyFault::Died, &format!("shared memory: {e}")))?;
         for (array, place) in arrays.iter().zip(places) {
             let written = self.memory.write_all_at(bytemuck::cast_slice(array.values), 8 * place as u64);

@@ -82,6 +82,11 @@ impl Table {
     /// Names the line, the column and the fault, or the key to set.
     pub fn parse(bytes: &[u8], form: &Form) -> Result<Self, String> {
         let text = text(bytes)?;
+        let first = text.split(['\r', '\n']).next().unwrap_or_default();
+        if first.to_lowercase().starts_with("sep=") {
+            let remedy = "remove it, or use python -m metasense.records";
+            return Err(format!("line 1: {first:?} is for Excel: {remedy}"));
+        }
         let all = [Separator::Comma, Separator::Semicolon, Separator::Tab];
         let occurs = |separator: &Separator| match form.separator {
             Some(given) => *separator == given,
@@ -228,6 +233,14 @@ impl Table {
                             )
                         }
                         "" => format!("{} is empty", at()),
+                        _ if table.lines.is_empty()
+                            && !table.names.is_empty()
+                            && !fields.iter().any(may_be_number) =>
+                        {
+                            let remedy =
+                                "if the line states units, remove it, or use python -m metasense.records";
+                            format!("{} = {field:?} is not a number: {remedy}", at())
+                        }
                         _ => format!("{} = {field:?} is not a number{}", at(), divided_by(separator)),
                     });
                 };

@@ -6,7 +6,7 @@ use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, Guide, LayoutKind, Struck, TrialSpec};
 use std::collections::BTreeMap;
 
-use crate::invalid::{Invalid, at_least, at_most, invalid, positive, require};
+use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, positive, require, within};
 use crate::polygons;
 
 /// The layout of a body; of an external one a layout without units.
@@ -25,23 +25,14 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
         return polygons::layout(given);
     }
     let columns = given("body.columns", body.columns)?;
-    at_least("body.columns", columns, 2)?;
-    at_most("body.columns", columns, 1000)?;
+    within("body.columns", columns, 2, 1000)?;
     at_most("body.rows", body.rows(), 10_000 / columns)?;
     let [spacing, ligament_length] = lengths(body)?;
-    require(
-        ligament_length < spacing,
-        "body.ligament_length",
-        ligament_length,
-        "must be less than body.spacing",
-    )?;
-    require(
-        body.initial_angle.abs() < 45.0,
-        "body.initial_angle",
-        body.initial_angle,
-        "must lie between -45 and 45 degrees",
-    )?;
-    let angle = body.initial_angle.to_radians();
+    let remedy = "must be less than body.spacing";
+    require(ligament_length < spacing, "body.ligament_length", ligament_length, remedy)?;
+    let angle = body.initial_angle;
+    require(angle.abs() < 45.0, "body.initial_angle", angle, "must lie between -45 and 45 degrees")?;
+    let angle = angle.to_radians();
     let pattern = match body.lattice {
         spec::Lattice::Square => Pattern::square(),
         spec::Lattice::Kagome => Pattern::kagome(),
@@ -51,22 +42,14 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     match body.layout {
         LayoutKind::Planar => {
             let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be set for a planar body"))?;
-            require(
-                rows >= 2,
-                "body.rows",
-                rows,
-                "must be at least 2: the bottom row is clamped, and forces act on the top row",
-            )?;
+            let remedy = "must be at least 2: the bottom row is clamped, and forces act on the top row";
+            require(rows >= 2, "body.rows", rows, remedy)?;
             Ok(Layout::sheet(&pattern, columns, rows, spacing, ligament_length))
         }
         LayoutKind::Circular => {
             let rows = body.rows();
-            require(
-                rows == columns,
-                "body.rows",
-                rows,
-                "must equal body.columns, or be left out, for a circular body",
-            )?;
+            let remedy = "must equal body.columns, or be left out, for a circular body";
+            require(rows == columns, "body.rows", rows, remedy)?;
             at_least("body.columns", columns, 4)?;
             Ok(Layout::circular(&pattern, columns, spacing, ligament_length))
         }
@@ -323,22 +306,14 @@ pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid
     }
     let clamp = clamp(body);
     let units = named("body.clamp", &clamp, body, layout)?;
-    let shown = match clamp {
-        Clamp::Units(units) => format!("{units:?}"),
-        Clamp::Rule(rule) => name(rule).into(),
-    };
+    let shown = bare(&clamp);
     require(units.len() < layout.units(), "body.clamp", shown, "must leave a unit free to move")?;
     Ok(units)
 }
 
-fn name(rule: ClampRule) -> &'static str {
-    match rule {
-        ClampRule::Bottom => "bottom",
-        ClampRule::Ends => "ends",
-        ClampRule::Sides => "sides",
-        ClampRule::Hub => "hub",
-        ClampRule::None => "none",
-    }
+/// As in a spec, without quotes.
+fn bare(clamp: &Clamp) -> String {
+    as_written(clamp).replace('"', "")
 }
 
 /// The units that the value of a key names.
@@ -353,7 +328,7 @@ fn named(key: &str, clamp: &Clamp, body: &spec::Body, layout: &Layout) -> Result
         false => "must be \"bottom\", \"ends\", \"sides\", \"none\" or a list of units for a planar body",
     };
     let fits = rule == ClampRule::None || circular == (rule == ClampRule::Hub);
-    require(fits, key, name(rule), remedy)?;
+    require(fits, key, bare(clamp), remedy)?;
     Ok(match rule {
         ClampRule::Bottom => layout.bottom(),
         ClampRule::Ends => layout.ends(),
@@ -446,12 +421,8 @@ pub fn check_units(
     held: &[usize],
 ) -> Result<Vec<usize>, Invalid> {
     for (n, &unit) in units.iter().enumerate() {
-        require(
-            unit < layout.units(),
-            key,
-            unit,
-            &format!("the layout's units are 0 to {}", layout.units() - 1),
-        )?;
+        let remedy = format!("the layout's units are 0 to {}", layout.units() - 1);
+        require(unit < layout.units(), key, unit, &remedy)?;
         require(!units[..n].contains(&unit), key, unit, "must not be repeated")?;
         require(!held.contains(&unit), key, unit, "is clamped and cannot move")?;
     }

@@ -7,7 +7,7 @@ use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
 use super::body::lengths;
-use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, require};
+use crate::invalid::{Invalid, as_written, at_most, invalid, require, within};
 
 /// Greatest standard deviation of a logarithm: one cast in three hundred then deviates by a factor of twenty.
 const DEVIATION_MAX: f64 = 1.0;
@@ -30,12 +30,8 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     let spec::Variation { stretch, shear, bend, damping, density, contact, .. } = *given;
     let spec::Variation { nodes, gain, misalignment, ligament_length, relaxation, .. } = *given;
     let of_contact = deviation("contact", contact.unwrap_or(0.0))?;
-    require(
-        trial.body.contact.is_some() || contact.is_none(),
-        "variation.contact",
-        of_contact,
-        "has no effect: the body has no body.contact",
-    )?;
+    let touches = trial.body.contact.is_some() || contact.is_none();
+    require(touches, "variation.contact", of_contact, "has no effect: the body has no body.contact")?;
     let (key, nodes, correlation) = match nodes {
         None => ("variation.nodes", 0.0, 0.0),
         Some(spec::Nodes::Each(scatter)) => ("variation.nodes", scatter, 0.0),
@@ -47,14 +43,11 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
         "must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: with larger deviations, units would touch"
     );
     require((0.0..=most).contains(&nodes), key, nodes, &remedy)?;
-    require(
-        (0.0..=CORRELATION_MAX).contains(&correlation),
-        "variation.nodes.correlation",
-        correlation,
-        "must lie between 0 and 10000 mm",
-    )?;
+    let key = "variation.nodes.correlation";
+    let sound = (0.0..=CORRELATION_MAX).contains(&correlation);
+    require(sound, key, correlation, "must lie between 0 and 10000 mm")?;
     let remedy = format!("the body has {units} units; correlated nodes need at most {ALIKE_MAX}");
-    require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
+    require(correlation == 0.0 || units <= ALIKE_MAX, key, correlation, &remedy)?;
     let [stretch, shear, bend] = [
         deviations("stretch", stretch, "ligament")?,
         deviations("shear", shear, "ligament")?,
@@ -133,8 +126,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<CastObjective>, Invali
     let remedy = "must lie between 0 and 1";
     require((0.0..=1.0).contains(&tail), "optimise.objective.cvar", 1.0 - tail, remedy)?;
     let casts = casts.unwrap_or(1);
-    at_least("optimise.casts", casts, 1)?;
-    at_most("optimise.casts", casts, CASTS_MAX)?;
+    within("optimise.casts", casts, 1, CASTS_MAX)?;
     let remedy = "must be left out: without a [variation] the objective is over the parts of stimuli.mix";
     require(parts.is_none_or(|parts| parts == casts), "optimise.casts", casts, remedy)?;
     let over = if parts.is_some() { ObjectiveDomain::Parts } else { ObjectiveDomain::Casts };

@@ -38,19 +38,11 @@ pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
         require(body.command.is_empty(), "body.command", format!("{:?}", body.command), remedy)?;
         return require(body.time_limit.is_none(), "body.time_limit", "", remedy);
     }
-    require(
-        !body.command.is_empty(),
-        "body.command",
-        "",
-        "must be set: the program that simulates the body",
-    )?;
+    let remedy = "must be set: the program that simulates the body";
+    require(!body.command.is_empty(), "body.command", "", remedy)?;
     let limit = body.time_limit.unwrap_or(TIME_LIMIT);
-    require(
-        (1e-3..=1e9).contains(&limit),
-        "body.time_limit",
-        limit,
-        "must be at least 0.001, at most 1e9 s",
-    )?;
+    let remedy = "must be at least 0.001, at most 1e9 s";
+    require((1e-3..=1e9).contains(&limit), "body.time_limit", limit, remedy)?;
     let none: Body = serde_json::from_str("{}").expect("every key has a default");
     let design = matches!(body.design, Some(spec::Design::Random { .. }));
     require(!design, "body.design", "{ random = … }", "external bodies have no random designs; use a file")?;
@@ -72,12 +64,8 @@ pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
         require(!given, key, "", NO_EFFECT)?;
     }
     let inverse = spec.brain.kind == spec::BrainKind::Inverse;
-    require(
-        !inverse,
-        "brain.kind",
-        "\"inverse\"",
-        "inverts only bodies of polygons; use \"linear\", \"cnn\" or \"stacked\"",
-    )
+    let remedy = "inverts only bodies of polygons; use \"linear\", \"cnn\" or \"stacked\"";
+    require(!inverse, "brain.kind", "\"inverse\"", remedy)
 }
 
 /// Rejects keys of a table that differ from their defaults, except those in `read`.
@@ -150,11 +138,8 @@ pub(super) fn check(description: &Description) -> Result<(), Invalid> {
         let terms =
             numbers.len() == row.terms.len() && row.terms.iter().all(|(i, a)| *i < n && a.is_finite());
         let some = row.terms.iter().any(|(_, a)| *a != 0.0) && (row.least.is_some() || row.most.is_some());
-        holds(
-            terms && some,
-            "constraints",
-            &format!("must have terms of distinct numbers 0 to {}, and a limit", n - 1),
-        )?;
+        let remedy = format!("must have terms of distinct numbers 0 to {}, and a limit", n - 1);
+        holds(terms && some, "constraints", &remedy)?;
     }
     for (names, key, most) in
         [(panels, "panels", MOST), (sensors, "sensors", MOST), (channels, "channels", 3)]
@@ -205,12 +190,8 @@ pub(super) fn parts(trial: &TrialSpec, description: &Description) -> Result<OfBo
     };
     let external = External::new(&trial.body, description);
     let limits_hold = linear(description, design.len()).hold(&design);
-    require(
-        limits_hold,
-        "body.design",
-        "",
-        "must keep the bounds and constraints that the program describes",
-    )?;
+    let remedy = "must keep the bounds and constraints that the program describes";
+    require(limits_hold, "body.design", "", remedy)?;
     indices("sweep.panels", &trial.panel_units, description.panels.len())?;
     indices("sensors.placements", &trial.sensor_units, description.sensors.len())?;
     let (sensors, panels) = (trial.point.sensors, trial.point.panels);

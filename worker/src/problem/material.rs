@@ -5,7 +5,7 @@ use metasense_numerics::material::{Ligament, modulus_at_rest};
 use metasense_schemas::spec::{self, Material, Rubber};
 
 use super::body::lengths;
-use crate::invalid::{Invalid, invalid, not_negative, positive, require};
+use crate::invalid::{Invalid, absent, invalid, not_negative, positive, require};
 
 /// Nominal stress at 100 % strain (MPa) and density (Mg/mm³) of a rubber.
 fn stress_and_density(rubber: Rubber) -> (f64, f64) {
@@ -26,19 +26,9 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
         body.stiffness.ok_or_else(|| missing("body.stiffness"))?;
         return Ok(body.clone());
     };
-    let given = [
-        ("body.density", body.density.map(|density| density.to_string())),
-        ("body.stiffness", body.stiffness.map(|_| "{ … }".to_owned())),
-    ];
-    for (key, value) in given {
-        if let Some(value) = value {
-            return Err(invalid(
-                key,
-                value,
-                "cannot be set together with body.material, which determines it",
-            ));
-        }
-    }
+    let remedy = "cannot be set together with body.material, which determines it";
+    absent("body.density", body.density, remedy)?;
+    absent("body.stiffness", body.stiffness.map(|_| "{ … }"), remedy)?;
     let Material { rubber, modulus, density, thickness, ligament_width } = material;
     let (stress, heavy) = rubber.map(stress_and_density).unzip();
     let checked_value = |key: &str, own: Option<f64>, rubber: Option<f64>| {
@@ -87,14 +77,10 @@ pub fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
     positive("body.stiffness.bend", bend)?;
     if let Some(contact) = &body.contact {
         positive("body.contact.stiffness", contact.stiffness)?;
-        require(
-            contact.min_angle > -180.0
-                && contact.min_angle < contact.cutoff_angle
-                && contact.cutoff_angle < 180.0,
-            "body.contact.min_angle",
-            contact.min_angle,
-            "must be less than body.contact.cutoff_angle, both within ±180 degrees",
-        )?;
+        let (least, cutoff) = (contact.min_angle, contact.cutoff_angle);
+        let in_order = -180.0 < least && least < cutoff && cutoff < 180.0;
+        let remedy = "must be less than body.contact.cutoff_angle, both within ±180 degrees";
+        require(in_order, "body.contact.min_angle", least, remedy)?;
     }
     Ok((density, Stiffness { stretch, shear, bend }))
 }

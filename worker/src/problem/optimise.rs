@@ -6,29 +6,24 @@ use metasense_numerics::trial::{Protocol, StepTraining, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
 use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, fixed_shape_units, held};
-use crate::invalid::{Invalid, as_written, invalid, positive, require, within};
+use crate::invalid::{Invalid, absent, as_written, positive, require, within};
 
 /// The training protocol.
 pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
         optimise;
     // keys without effect are rejected: otherwise identical trials would get different hashes
-    let reject_unused = |key: &str, given: Option<String>, readers: &str| match given {
-        Some(value) => {
-            Err(invalid(key, value, format!("has no effect on this optimise.protocol, only on {readers}")))
-        }
-        None => Ok(()),
-    };
+    let only_on = |readers: &str| format!("has no effect on this optimise.protocol, only on {readers}");
     if protocol == spec::Protocol::Paper {
-        let readers = "joint and random";
-        reject_unused("optimise.brain_iterations", brain_iterations.map(|n| n.to_string()), readers)?;
-        reject_unused("optimise.brain_learning_rate", brain_learning_rate.map(|r| r.to_string()), readers)?;
+        let remedy = only_on("joint and random");
+        absent("optimise.brain_iterations", brain_iterations, &remedy)?;
+        absent("optimise.brain_learning_rate", brain_learning_rate, &remedy)?;
     } else {
-        reject_unused("optimise.gradient", gradient.map(|terms| as_written(&terms)), "paper")?;
+        absent("optimise.gradient", gradient.map(|terms| as_written(&terms)), &only_on("paper"))?;
     }
     if protocol != spec::Protocol::Joint {
-        reject_unused("optimise.batch", batch.map(|n| n.to_string()), "joint")?;
-        reject_unused("optimise.coarse", coarse.map(|solver| as_written(&solver)), "joint")?;
+        absent("optimise.batch", batch, &only_on("joint"))?;
+        absent("optimise.coarse", coarse.map(|solver| as_written(&solver)), &only_on("joint"))?;
     }
     let resolved = optimise.clone().resolved();
     // placeholders for keys that the protocol does not use
@@ -55,13 +50,8 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
 /// Size in cells of the blocks whose shifts are tied.
 pub(super) fn tie(optimise: &spec::Optimise) -> Result<[usize; 2], Invalid> {
     let tie = optimise.tie.unwrap_or([1, 1]);
-    let shown = format!("{tie:?}");
-    require(
-        tie.iter().all(|n| (1..=1000).contains(n)),
-        "optimise.tie",
-        shown,
-        "must be two numbers from 1 to 1000",
-    )?;
+    let sound = tie.iter().all(|n| (1..=1000).contains(n));
+    require(sound, "optimise.tie", format!("{tie:?}"), "must be two numbers from 1 to 1000")?;
     Ok(tie)
 }
 
@@ -81,12 +71,8 @@ pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, In
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
     let kept = fixed_shape_units(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
     let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();
-    require(
-        parameters > 0,
-        "optimise.frozen",
-        format!("{frozen:?}"),
-        "must leave the shape of at least one unit free",
-    )?;
+    let remedy = "must leave the shape of at least one unit free";
+    require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), remedy)?;
     Ok(parameters)
 }
 

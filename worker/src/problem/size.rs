@@ -10,7 +10,7 @@
 use metasense_schemas::spec::{Body, LayoutKind, SweepSpec};
 
 use super::sheet;
-use crate::invalid::{Invalid, invalid, positive};
+use crate::invalid::{Invalid, absent, positive};
 
 /// The spec with the lengths for `body.diameter` or `body.width` and the properties of `body.material`; and the scale s.
 ///
@@ -21,22 +21,18 @@ pub fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     let body = Body { material: spec.body.material, ..sheet(&spec.body)? };
     let mut spec = SweepSpec { body, ..spec.clone() };
     let body = &mut spec.body;
-    let (size_key, other, remedy) = match body.layout {
-        LayoutKind::Circular => (
-            ("body.diameter", body.diameter.take()),
-            ("body.width", body.width.take()),
-            "only for planar bodies; use body.diameter for a circular body",
-        ),
-        LayoutKind::Planar => (
-            ("body.width", body.width.take()),
-            ("body.diameter", body.diameter.take()),
-            "only for circular bodies; use body.width for a planar body",
-        ),
+    let (diameter, width) = (body.diameter.take(), body.width.take());
+    let (key, size) = match body.layout {
+        LayoutKind::Circular => {
+            absent("body.width", width, "only for planar bodies; use body.diameter for a circular body")?;
+            ("body.diameter", diameter)
+        }
+        LayoutKind::Planar => {
+            absent("body.diameter", diameter, "only for circular bodies; use body.width for a planar body")?;
+            ("body.width", width)
+        }
     };
-    if let (key, Some(value)) = other {
-        return Err(invalid(key, value, remedy));
-    }
-    let (key, Some(size)) = size_key else { return Ok((spec, 1.0)) };
+    let Some(size) = size else { return Ok((spec, 1.0)) };
     positive(key, size)?;
     let scale = size / (body.columns() as f64 * body.lengths()[0]);
     for length in [&mut body.spacing, &mut body.ligament_length].into_iter().flatten() {

@@ -8,7 +8,7 @@ use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
 use super::body::{lengths, listed};
 use super::{INSTANTS_MAX, SAMPLES_MAX};
-use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, not_negative, require};
+use crate::invalid::{Invalid, absent, as_written, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 
 /// Source of a trial's forces, and numbers of samples.
@@ -21,12 +21,8 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     at_most("stimuli.samples", samples, SAMPLES_MAX)?;
     at_most("stimuli.holdout", holdout, SAMPLES_MAX)?;
     at_least("stimuli.test", test, 1)?;
-    require(
-        test < samples,
-        "stimuli.test",
-        test,
-        &format!("must be less than stimuli.samples = {samples}: the rest trains the decoder"),
-    )?;
+    let remedy = format!("must be less than stimuli.samples = {samples}: the rest trains the decoder");
+    require(test < samples, "stimuli.test", test, &remedy)?;
     at_least("stimuli.holdout", holdout, 1)?;
     let instants = force_instants(trial)?;
     Ok(Stimuli { source: source(trial, &stimuli, instants)?, instants, samples, test, replacement, holdout })
@@ -106,31 +102,18 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
     let (key, parts) = ("stimuli.mix", stimuli.mix.as_deref().unwrap_or_default());
     let kinds: Vec<StimuliKind> = parts.iter().map(|part| part.kind).collect();
     let kinds = as_written(&kinds);
-    require(
-        parts.len() > 1,
-        key,
-        &kinds,
-        "must be at least two tables [[stimuli.mix]], each with weight and kind",
-    )?;
-    require(
-        parts.iter().all(|part| part.kind != StimuliKind::Mix),
-        key,
-        &kinds,
-        "must not contain a mixture: list its parts with their weights",
-    )?;
+    let remedy = "must be at least two tables [[stimuli.mix]], each with weight and kind";
+    require(parts.len() > 1, key, &kinds, remedy)?;
+    let flat = parts.iter().all(|part| part.kind != StimuliKind::Mix);
+    require(flat, key, &kinds, "must not contain a mixture: list its parts with their weights")?;
     let weights: Option<Vec<f64>> = parts.iter().map(|part| part.weight).collect();
     let Some(weights) = weights else {
         return Err(invalid("stimuli.mix.weight", "", "must be set for each part"));
     };
     let records = parts.iter().filter(|part| part.kind == StimuliKind::Recorded).count();
     require(records < 2, key, &kinds, "must contain recorded only once: stimuli.recorded lists all records")?;
-    if stimuli.recorded.is_some() && records == 0 {
-        return Err(invalid(
-            "stimuli.recorded",
-            "{ … }",
-            "has no effect: no part of stimuli.mix is recorded",
-        ));
-    }
+    let unread = stimuli.recorded.as_ref().filter(|_| records == 0).map(|_| "{ … }");
+    absent("stimuli.recorded", unread, "has no effect: no part of stimuli.mix is recorded")?;
     let (shown, sum) = (format!("{weights:?}"), weights.iter().sum::<f64>());
     require(weights.iter().all(|w| *w > 0.0), "stimuli.mix.weight", &shown, "must be numbers above 0")?;
     let remedy = format!("must sum to 1, not to {sum}");
@@ -171,9 +154,7 @@ pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
     for (n, part) in read_under(trial).enumerate() {
         let sound = part.kind != StimuliKind::Mix && !kinds[..n].contains(&part.kind);
         require(sound, key, &shown, "must contain kinds other than mix, each once")?;
-        if let Some(weight) = part.weight {
-            return Err(invalid("evaluation.under.weight", weight, "has no effect: leave it out"));
-        }
+        absent("evaluation.under.weight", part.weight, "has no effect: leave it out")?;
     }
     let readable = fits(trial.time.samples, trial.signals());
     let remedy = "must be left out: a linear decoder of such long samples takes too long";
@@ -187,12 +168,8 @@ fn force_instants(trial: &TrialSpec) -> Result<usize, Invalid> {
     let own = trial.time.samples;
     let instants = trial.stimuli.force_samples.unwrap_or(own);
     let remedy = format!("must be a multiple of time.samples = {own}");
-    require(
-        own > 0 && instants >= own && instants.is_multiple_of(own),
-        "stimuli.force_samples",
-        instants,
-        &remedy,
-    )?;
+    let whole = own > 0 && instants >= own && instants.is_multiple_of(own);
+    require(whole, "stimuli.force_samples", instants, &remedy)?;
     at_most("stimuli.force_samples", instants, 1_000_000)?;
     Ok(instants)
 }
@@ -226,12 +203,8 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
         StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).chain([silent, anywhere]).collect(),
         StimuliKind::Mix => pulse.into_iter().chain(blow).chain(hand).chain([silent, anywhere]).collect(),
     };
-    for (key, value) in unread {
-        if let Some(value) = value {
-            return Err(invalid(&format!("stimuli.{key}"), value, "has no effect on this stimuli.kind"));
-        }
-    }
-    Ok(())
+    let remedy = "has no effect on this stimuli.kind";
+    unread.into_iter().try_for_each(|(key, given)| absent(&format!("stimuli.{key}"), given, remedy))
 }
 
 /// Checks an interval of finite numbers; `resolved` has set its default.
@@ -322,12 +295,8 @@ pub(super) fn disturbance(
             Some(spec::Disturbance::Physical(sizes)) => (sizes.to_vec(), Size::Physical(sizes)),
         };
         let sound = values.iter().all(|x| *x >= 0.0 && x.is_finite());
-        require(
-            sound,
-            key,
-            format!("{values:?}"),
-            "must be at least 0: a fraction of the RMS, or [mm/s², rad/s]",
-        )?;
+        let remedy = "must be at least 0: a fraction of the RMS, or [mm/s², rad/s]";
+        require(sound, key, format!("{values:?}"), remedy)?;
         Ok(size)
     };
     let (noise, bias) = (size("sensors.noise", sensors.noise)?, size("sensors.bias", sensors.bias)?);
@@ -370,12 +339,8 @@ pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invali
 pub(super) fn mount(sensors: &spec::Sensors) -> Result<Option<Mount>, Invalid> {
     let (offset, tilt) = (sensors.offset.unwrap_or_default(), sensors.tilt.unwrap_or_default());
     let shown = format!("{offset:?}");
-    require(
-        offset.iter().all(|r| r.is_finite()),
-        "sensors.offset",
-        &shown,
-        "must be two finite numbers (mm)",
-    )?;
+    let sound = offset.iter().all(|r| r.is_finite());
+    require(sound, "sensors.offset", &shown, "must be two finite numbers (mm)")?;
     require((-360.0..=360.0).contains(&tilt), "sensors.tilt", tilt, "must lie between -360 and 360 degrees")?;
     let weighs = sensors.mass.unwrap_or_default() > 0.0 || sensors.inertia.unwrap_or_default() > 0.0;
     let off = offset != [0.0; 2];

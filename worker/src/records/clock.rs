@@ -20,8 +20,11 @@ const AROUND: usize = 8;
 /// Largest sum of two neighbouring steps (medians) for which a late entry, not a gap, explains the longer one.
 const LATE: f64 = 2.5;
 
-/// Combines a record with its clock; interpolates uneven clocks linearly onto even ones with their finest step. `place` gives an
-/// entry's location for messages.
+/// Least step of a resampled record, in mean steps: bursts of a radio or bus contain far shorter ones.
+const FINEST: f64 = 0.25;
+
+/// Combines a record with its clock; interpolates uneven clocks linearly onto even ones with their finest step, at least `FINEST`.
+/// `place` gives an entry's location for messages.
 ///
 /// # Errors
 /// If times do not increase, entries are missing, or the clock is too uneven to resample.
@@ -65,12 +68,10 @@ pub(super) fn with_clock(
     if off <= UNEVEN * mean && clock.iter().enumerate().map(drift).all(|off| off <= DRIFT * mean) {
         return Ok(Record { start, dt: mean * unit, values, jitter });
     }
-    let finest = steps().fold(f64::INFINITY, f64::min);
+    let finest = steps().fold(f64::INFINITY, f64::min).max(FINEST * mean);
     let count = (span / finest).ceil();
     if count > LONGEST as f64 {
-        return Err(format!(
-            "time is uneven, and its finest step, {finest}, is too small: resample the record first"
-        ));
+        return Err("time is uneven, and has too many entries: resample the record first".into());
     }
     let dt = span / count;
     let read = |history: &Vec<f64>| {

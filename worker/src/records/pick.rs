@@ -68,7 +68,7 @@ pub fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
                     pick.key
                 ));
             }
-            return Ok(histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect());
+            return histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect();
         }
         Content::Array(array) => {
             of_array = Table::of_array(array)?;
@@ -96,7 +96,7 @@ pub fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
             &|row| format!("{}: {}", table.place(row), table.label(time)),
             values,
         )?,
-        None => even(pick, values),
+        None => even(pick, values)?,
     }])
 }
 
@@ -142,7 +142,7 @@ fn of_archive(
         records.iter_mut().zip(held).for_each(|(record, values)| record.extend(values));
     }
     match pick.time {
-        None => Ok(records.into_iter().map(|values| even(pick, values)).collect()),
+        None => records.into_iter().map(|values| even(pick, values)).collect(),
         Some(time) => {
             let (name, clock) = named(time)?;
             let place = |entry| format!("entry {entry} of {name}");
@@ -154,14 +154,18 @@ fn of_archive(
 /// Converts (entries), (samples, entries) or (samples, histories, entries) to a list of histories per sample. If their number is
 /// known, also (entries, histories) and (samples, entries, histories).
 fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec<f64>>>, String> {
-    let [samples, rows, columns] = match (&shape[..], pick.count) {
-        ([entries], _) => [1, 1, *entries],
-        ([rows, columns], Some(_)) => [1, *rows, *columns],
-        ([samples, entries], None) => [*samples, 1, *entries],
-        ([samples, rows, columns], _) => [*samples, *rows, *columns],
+    let ([samples, rows, columns], axes) = match (&shape[..], pick.count) {
+        ([entries], _) => ([1, 1, *entries], "entries"),
+        ([rows, columns], Some(_)) => ([1, *rows, *columns], "signals, entries"),
+        ([samples, entries], None) => ([*samples, 1, *entries], "samples, entries"),
+        ([samples, rows, columns], _) => ([*samples, *rows, *columns], "samples, signals, entries"),
         _ => return Err(format!("has shape {shape:?}; must have 1 to 3 dimensions")),
     };
     let last = pick.count == Some(columns);
+    if !last && columns < 2 {
+        let remedy = if shape.len() > 1 { "transpose it" } else { "a record needs two entries or more" };
+        return Err(format!("has shape {shape:?}: read as ({axes}); {remedy}"));
+    }
     if last && rows == columns && rows > 1 {
         let remedy = "one axis must be entries and the other signals: add entries";
         return Err(format!("has shape {shape:?}, with as many entries as signals: {remedy}"));
@@ -177,6 +181,9 @@ fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec
     Ok((0..samples).map(sample).collect())
 }
 
-fn even(pick: &Pick, values: Vec<Vec<f64>>) -> Record {
-    Record { start: 0.0, dt: 1.0 / pick.rate.unwrap_or(1.0), values, jitter: 0.0 }
+fn even(pick: &Pick, values: Vec<Vec<f64>>) -> Result<Record, String> {
+    match values.iter().any(|history| history.len() < 2) {
+        true => Err("must contain at least two entries".into()),
+        false => Ok(Record { start: 0.0, dt: 1.0 / pick.rate.unwrap_or(1.0), values, jitter: 0.0 }),
+    }
 }

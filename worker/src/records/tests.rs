@@ -70,19 +70,21 @@ fn arrays_and_uneven_clocks_are_read() {
 }
 
 /// A clock 1 % slow in the first half and 1 % fast in the second is 1 s off in the middle, although steps deviate by 1 % only.
-/// f(t) = t is still read as t.
+/// f(t) = t is still read as t, also from pairs of entries 0.1 ms apart, which give at most four times as many.
 #[test]
 fn a_clock_that_drifts_is_evened_out() {
     let clock: Vec<f64> = (0..=200)
         .map(|n| if n <= 100 { 1.01 * f64::from(n) } else { 101.0 + 0.99 * f64::from(n - 100) })
         .collect();
+    let pairs = (0..200).map(|n| 0.02 * f64::from(n / 2) + 1e-4 * f64::from(n % 2)).collect();
     let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
-    let record =
-        with_clock(&Pick::forces(&recorded, "recorded"), &clock, &|n| n.to_string(), vec![clock.clone()])
-            .unwrap();
-    let off = |(n, f): (usize, &f64)| (f - record.start - n as f64 * record.dt).abs();
-    let most = record.values[0].iter().enumerate().map(off).fold(0.0, f64::max);
-    assert!(most < 1e-9, "off by {most} s");
+    for clock in [clock, pairs] {
+        let pick = Pick::forces(&recorded, "recorded");
+        let record = with_clock(&pick, &clock, &|n| n.to_string(), vec![clock.clone()]).unwrap();
+        let off = |(n, f): (usize, &f64)| (f - record.start - n as f64 * record.dt).abs();
+        let most = record.values[0].iter().enumerate().map(off).fold(0.0, f64::max);
+        assert!(most < 1e-9 && record.values[0].len() <= 4 * clock.len(), "off by {most} s");
+    }
 }
 
 /// Missing entries are distinguished from late entries and irregular clocks.
@@ -167,6 +169,8 @@ fn what_is_no_record_is_refused_by_name() {
         ("nan.csv", &text("2400,500", "2400,nan")),
         ("wide.npy", &npy(&[3, 3, 4], &[1.0; 36])),
         ("deep.npy", &npy(&[1, 1, 1, 4], &[1.0; 4])),
+        ("column.npy", &npy(&[30, 1, 1], &[1.0; 30])),
+        ("fast.npy", &npy(&[3, 1, 4], &[1.0; 12])),
     ]);
     let keys: Value = serde_json::from_str(KEYS).unwrap();
     let with = |key: &str, value: Value| {
@@ -190,6 +194,31 @@ fn what_is_no_record_is_refused_by_name() {
         (&["nan.csv"], keys.clone(), "nan.csv\": line 6: force = \"nan\": must be a finite number"),
         (&["wide.npy"], json!({ "rate": 10.0 }), "contains 3 forces per record; must be 1 or 2"),
         (&["deep.npy"], json!({ "rate": 10.0 }), "has shape [1, 1, 1, 4]"),
+        (
+            &["column.npy"],
+            json!({ "rate": 10.0 }),
+            "has shape [30, 1, 1]: read as (samples, signals, entries); transpose it",
+        ),
+        (
+            &["fast.npy"],
+            json!({ "rate": 1e300 }),
+            "has a step of 1e-300 s, less than 1e-7 of a sample (time.duration = 1 s): check stimuli.recorded.rate",
+        ),
+        (
+            &thrice,
+            with("time_unit", json!("us")),
+            "less than an instant of 0.1 s (time.duration = 1 s): check stimuli.recorded.time_unit",
+        ),
+        (
+            &thrice,
+            with("remove_offset", json!(false)),
+            "has reached the trigger threshold of 0.5 N at its first entry: set remove_offset = true",
+        ),
+        (
+            &thrice,
+            with("augment", json!({ "scale": [0.0, 0.0] })),
+            "stimuli.recorded.augment.scale = [0, 0]: would leave no force",
+        ),
         (&thrice, with("force", json!(["F"])), "has no signal \"F\"; signals are time, force"),
         (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = 10: set either time or rate"),
         (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger threshold of 9 N"),

@@ -1,15 +1,25 @@
 //! The claims, in the order of the paper.
 
 use super::{
-    Body, CHANCE, Claim, Scene, blows_more, complexity, elbow_at, error_ratio, every_number,
+    Body, CHANCE, Claim, Evidence, Scene, Trial, blows_more, complexity, elbow_at, error_ratio, every_number,
     few_sensors_ratio, implicit, iterations, long_ratio, placements, random_bodies, ratio_by_set,
 };
 
-const FOUR_FORCES: &[&str] = &["claims/four-forces"];
 pub(super) const GRADIENT: &[&str] = &["claims/gradient"];
 const TWO_FORCES: Option<Scene> = Some(Scene { panels: 2, sensors: Some(1), stimuli: "bell" });
-const FOUR: Option<Scene> = Some(Scene { panels: 4, sensors: None, stimuli: "bell" });
-const EIGHT: Option<Scene> = Some(Scene { panels: 8, sensors: None, stimuli: "bell" });
+
+/// A claim about four forces.
+const fn four(says: &'static str, stated: f64, find: fn(f64, &[&Trial]) -> Vec<Evidence>) -> Claim {
+    let scene = Some(Scene { panels: 4, sensors: None, stimuli: "bell" });
+    Claim { says, source: "Fig. 4B", stated, chance: CHANCE, specs: &["claims/four-forces"], scene, find }
+}
+
+/// A claim about eight forces.
+const fn eight(says: &'static str, stated: f64, find: fn(f64, &[&Trial]) -> Vec<Evidence>) -> Claim {
+    let scene = Some(Scene { panels: 8, sensors: None, stimuli: "bell" });
+    let specs = &["sweeps/eight-forces-map"];
+    Claim { says, source: "Fig. 4C", stated, chance: CHANCE, specs, scene, find }
+}
 
 /// All claims, in the order of the paper.
 pub const CLAIMS: [Claim; 15] = [
@@ -76,60 +86,16 @@ pub const CLAIMS: [Claim; 15] = [
         scene: None,
         find: |stated, trials| random_bodies(stated, trials, Body::Optimised),
     },
-    Claim {
-        says: "K = 4: the trained body is better with every number of sensors",
-        source: "Fig. 4B",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: every_number,
-    },
-    Claim {
-        says: "K = 4: its error has an elbow at M = 2",
-        source: "Fig. 4B",
-        stated: 2.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: elbow_at,
-    },
-    Claim {
-        says: "K = 4: the trained body with two sensors has less error than the initial body with six",
-        source: "Fig. 4B",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: |stated, trials| few_sensors_ratio(stated, 2, trials),
-    },
-    Claim {
-        says: "K = 4: on the trained body the error depends less on the placement of sensors",
-        source: "Fig. 4B",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: FOUR_FORCES,
-        scene: FOUR,
-        find: placements,
-    },
-    Claim {
-        says: "K = 8: the trained body is better with every number of sensors",
-        source: "Fig. 4C",
-        stated: 1.0,
-        chance: CHANCE,
-        specs: &["sweeps/eight-forces-map"],
-        scene: EIGHT,
-        find: every_number,
-    },
-    Claim {
-        says: "K = 8: its error has an elbow at M = 4",
-        source: "Fig. 4C",
-        stated: 4.0,
-        chance: CHANCE,
-        specs: &["sweeps/eight-forces-map"],
-        scene: EIGHT,
-        find: elbow_at,
-    },
+    four("K = 4: the trained body is better with every number of sensors", 1.0, every_number),
+    four("K = 4: its error has an elbow at M = 2", 2.0, elbow_at),
+    four(
+        "K = 4: the trained body with two sensors has less error than the initial body with six",
+        1.0,
+        |stated, trials| few_sensors_ratio(stated, 2, trials),
+    ),
+    four("K = 4: on the trained body the error depends less on the placement of sensors", 1.0, placements),
+    eight("K = 8: the trained body is better with every number of sensors", 1.0, every_number),
+    eight("K = 8: its error has an elbow at M = 4", 4.0, elbow_at),
     Claim {
         says: "a trained body with more design parameters has less error",
         source: "Fig. 5C",

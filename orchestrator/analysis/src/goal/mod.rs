@@ -187,11 +187,8 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     let at = view.classes.iter().find(|class| work.iter().any(|(i, _)| class.contains(i)));
     let open = at.map_or(0.0, |class| view.any_meets(class));
     let (chosen, kinship) = (view.chosen(), (!view.is_blind).then_some(view.prediction.kinship));
-    let cheaper = if chosen.is_some() {
-        view.any_meets(&view.cheaper(chosen).flatten().copied().collect::<Vec<_>>())
-    } else {
-        0.0
-    };
+    let cheaper: Vec<usize> = view.cheaper(chosen).flatten().copied().collect();
+    let cheaper = if chosen.is_some() { view.any_meets(&cheaper) } else { 0.0 };
     Decision { work, chosen, open, cheaper, kinship }
 }
 
@@ -300,12 +297,10 @@ impl<'a> View<'a> {
 
     /// Returns the first rung of settings spread over all costs, one candidate each.
     fn begin(&self) -> Vec<(usize, Work)> {
+        let place = |i: usize| &self.candidates[i].setting.place;
         let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
         for &i in self.classes.iter().flatten() {
-            if !settings
-                .iter()
-                .any(|&known| self.candidates[known].setting.place == self.candidates[i].setting.place)
-            {
+            if !settings.iter().any(|&known| place(known) == place(i)) {
                 settings.push(i);
             }
         }
@@ -376,34 +371,29 @@ impl<'a> View<'a> {
         let best = self.best_of(class);
         let candidate = &self.candidates[best];
         let fresh = latest(self.goal, candidate);
-        let (middle, below): (f64, Box<dyn Fn(f64) -> f64>) = match (self.judgements[best], candidate.turn) {
-            (Judgement::None, _) => (
-                self.prediction.mean[best] + self.seeds.shift,
-                Box::new(|e| self.prediction.chance(|draw| self.seeds.below(e, draw[best]))),
-            ),
-            (Judgement::Screened, _) | (_, None) => {
-                (log_mean_deviation(fresh).0, Box::new(|e| chance_below(e, fresh)))
-            }
-            (_, Some(turn)) => {
-                (log_mean_deviation(fresh).0, Box::new(move |e| chance_confirmed(e, turn, fresh)))
-            }
+        let middle = match self.judgements[best] {
+            Judgement::None => self.prediction.mean[best] + self.seeds.shift,
+            _ => log_mean_deviation(fresh).0,
         };
+        let below = |e: f64| match (self.judgements[best], candidate.turn) {
+            (Judgement::None, _) => self.prediction.chance(|draw| self.seeds.below(e, draw[best])),
+            (Judgement::Screened, _) | (_, None) => chance_below(e, fresh),
+            (_, Some(turn)) => chance_confirmed(e, turn, fresh),
+        };
+        let begun = class.iter().filter(|&&i| !self.candidates[i].reached.is_empty()).count();
         Class {
             best,
             stage: self.stage(best),
-            error: [middle.exp(), quantile(self.goal.confidence, middle, &*below).exp()],
+            error: [middle.exp(), quantile(self.goal.confidence, middle, below).exp()],
             meets: self.prospects[best],
             any: self.any_meets(class),
-            candidates: [
-                class.len(),
-                class.iter().filter(|&&i| !self.candidates[i].reached.is_empty()).count(),
-            ],
+            candidates: [class.len(), begun],
         }
     }
 }
 
 /// Returns the ln error that is not exceeded with this probability, by bisection from `middle` − 3 to `middle` + 6.
-fn quantile(probability: f64, middle: f64, below: &dyn Fn(f64) -> f64) -> f64 {
+fn quantile(probability: f64, middle: f64, below: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (middle - 3.0, middle + 6.0);
     for _ in 0..40 {
         let half = 0.5 * (low + high);

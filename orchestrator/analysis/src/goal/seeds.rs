@@ -129,20 +129,11 @@ impl Seeds {
         let before = FREEDOM as f64;
         let squares: f64 = shifts.iter().map(|s| (s - shift).powi(2)).sum();
         let about = ((before * DEVIATION.powi(2) + squares) / (FREEDOM + shifts.len()) as f64).sqrt();
-        let deviation_between_seeds =
-            ((before * DEVIATION.ln() + logs_between) / (FREEDOM + freedom) as f64).exp();
+        let between = ((before * DEVIATION.ln() + logs_between) / (FREEDOM + freedom) as f64).exp();
         let (confirming, risk) = (confirming(goal), (1.0 - goal.confidence) * share(turn));
         let margin = student_above(confirming - 1, risk) * (1.0 + 1.0 / confirming as f64).sqrt();
         let freedom = FREEDOM + shifts.len();
-        Self {
-            shift,
-            about,
-            between: deviation_between_seeds,
-            freedom,
-            error: goal.error.ln(),
-            confirming,
-            margin,
-        }
+        Self { shift, about, between, freedom, error: goal.error.ln(), confirming, margin }
     }
 
     /// Probability that a body with this ln error as result will be confirmed.

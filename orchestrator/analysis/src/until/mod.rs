@@ -210,12 +210,8 @@ fn curve(unit: &[(usize, f64)], places: &[f64], trials: &[Trial]) -> Option<Vec<
         let logs = logs.filter(|logs| !logs.is_empty())?;
         Some(logs.iter().sum::<f64>() / logs.len() as f64)
     };
-    let bodies = [Body::Optimised, Body::Initial];
-    bodies
-        .into_iter()
-        .flat_map(|body| places.iter().map(move |place| (body, *place)))
-        .map(|(b, p)| mean(b, p))
-        .collect()
+    let all = |body| places.iter().map(move |place| mean(body, *place));
+    all(Body::Optimised).chain(all(Body::Initial)).collect()
 }
 
 /// Returns the first answer, which is wrong with probability `chance` at most, and the number of units that it needed. Units

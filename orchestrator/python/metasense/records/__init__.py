@@ -162,11 +162,19 @@ def _stated(of: Recording, columns: list[Column], known: dict[str, str], option:
     return units.pop() if units else None
 
 
+def _once(of: Recording, columns: list[Column]) -> None:
+    """Refuses a column that is read twice."""
+    for n, column in enumerate(columns):
+        if any(column is other for other in columns[:n]):
+            raise of.fail(f"{column.name!r} is read twice: choose it once, as force, signal or clock")
+
+
 def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Record, NDArray[np.intp]]:
     """A recording as one record, and the rows of its forces."""
     keys = list(o.force)
     forces = [of.column(key) for key in keys]
     timed = [] if o.time is None else [of.column(o.time)]
+    _once(of, [*forces, *timed])
     rows = of.rows([*forces, *timed], o.empty)
     clock = _clock(of, forces, rows, o.time, o.rate, o)
     values = np.array([of.numbers(column, rows) for column in forces])
@@ -182,7 +190,9 @@ def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Recor
         clocks = [c.clock for c in (*chosen, forces[0]) if c.clock is not None]
         is_own = is_own or any(not np.array_equal(own, clocks[-1]) for own in clocks)
         time, rate = (o.signal_time, o.signal_rate) if o.signal_time is not None or o.signal_rate is not None else (o.time, o.rate)
-        of_signals = there.rows([*chosen, *([] if time is None else [there.column(time)])], o.empty)
+        timed = [] if time is None else [there.column(time)]
+        _once(there, [*chosen, *timed])
+        of_signals = there.rows([*chosen, *timed], o.empty)
         gaps = np.flatnonzero(np.diff(of_signals) != 1)
         if beside is None and o.signal_rate is not None and len(gaps):
             what = f"{there.place(int(of_signals[gaps[0]]) + 1)}: has no signals, so signal_rate would count other rows than theirs"
@@ -365,7 +375,8 @@ def convert(
         record.units = {**record.units, **{key: unit for key, unit in given.items() if unit is not None}}
     if not found:
         raise RecordsError("no record is whole: " + "; ".join(notes))
-    return save(out, found), notes + _missing(found, signals is not None)
+    toml = save(out, found)
+    return toml, notes + _missing(found, signals is not None) + _offset(found, toml)
 
 
 def _missing(found: list[Record], with_signals: bool) -> list[str]:
@@ -376,6 +387,21 @@ def _missing(found: list[Record], with_signals: bool) -> list[str]:
         for key, unit in assumed.items()
         if key not in found[0].units
     ]
+
+
+def _offset(found: list[Record], toml: Path) -> list[str]:
+    """The level of the forces where both their first entries and their median tell it, if above 2 % of the peak."""
+    levels = []
+    for record in found:
+        force = np.atleast_2d(record.force)
+        median = np.median(force, axis=1)
+        level = np.minimum(np.abs(median), np.abs(np.median(force[:, :5], axis=1))).max()
+        levels.append([level, np.abs(force - median[:, None]).max()])
+    level, peak = np.median(levels, axis=0)
+    if peak == 0.0 or level <= 0.02 * peak:
+        return []
+    of_peak = f"{level:.3g}, {100.0 * level / peak:.0f} % of the peak"
+    return [f"the force rests at {of_peak}: set remove_offset = true below [recorded] in {toml.name}"]
 
 
 def save(out: str | PathLike[str], found: Sequence[Record]) -> Path:

@@ -23,12 +23,11 @@ pub(super) fn submit_shards(
         let name = format!("{}.{}", submission.name, files::fresh_mark());
         let mut job = Job {
             scheduler: submission.scheduler.name().to_owned(),
-            job: String::new(),
             name: Some(name.clone()),
             cluster: submission.queue.cluster.clone().or_else(|| cluster.clone()),
-            merge_job: None,
             shards: submission.shards,
             offset: array.offset,
+            ..Job::default()
         };
         notes.note(&job).map_err(&noting)?;
         let submitted = run(&commands.submit_shards(submission, &array, &name)).or_else(|refused| {

@@ -42,9 +42,9 @@ pub(super) async fn execute(
     queue: &Queue,
 ) -> Result<Exit, Error> {
     if args.retry_failed {
-        let why = "--retry-failed: not for rounds, which depend on earlier results; leave it out, or use `run`, or `design` for a \
-                   [goal]";
-        return Err(Error::Usage(why.into()));
+        return usage!(
+            "--retry-failed: not for rounds, which depend on earlier results; leave it out, or use `run`, or `design` for a [goal]"
+        );
     }
     let space = if args.goal { Some(design::space(&plan)?) } else { None };
     let program = Program::of_this_process()?;

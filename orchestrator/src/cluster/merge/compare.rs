@@ -125,12 +125,9 @@ pub(super) async fn damaged(
 
 /// Inputs with discarded copies of attempted trials.
 pub(super) async fn losers(out: &mut SqliteConnection) -> sqlx::Result<HashSet<usize>> {
-    let rows: Vec<i64> = sqlx::query_scalar(
-        "SELECT DISTINCT c.input FROM temp.candidate c JOIN temp.kept k ON k.hash = c.hash
-         WHERE c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)",
-    )
-    .fetch_all(out)
-    .await?;
+    let sql = "SELECT DISTINCT c.input FROM temp.candidate c JOIN temp.kept k ON k.hash = c.hash
+         WHERE c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)";
+    let rows: Vec<i64> = sqlx::query_scalar(sql).fetch_all(out).await?;
     Ok(rows.into_iter().map(|i| i as usize).collect())
 }
 
@@ -201,11 +198,9 @@ async fn differing(
         let columns = COMPARED.iter().chain(own);
         differ.extend(columns.map(|c| format!("CASE WHEN o.{c} IS NOT m.{c} THEN '{c} ' ELSE '' END")));
     }
-    let trial = format!(
-        "SELECT {} FROM src.trial o, main.trial m WHERE o.id = ?1 AND m.id = ?2",
-        differ.join(" || ")
-    );
-    let mut statements = vec![trial];
+    let differ = differ.join(" || ");
+    let mut statements =
+        vec![format!("SELECT {differ} FROM src.trial o, main.trial m WHERE o.id = ?1 AND m.id = ?2")];
     for TableComparison { table, keys, numbers } in tables {
         // a step that was repeated belongs to another attempt
         let attempt = if table == "step" && copied.contained { "AND o.attempt = m.attempt" } else { "" };
@@ -266,15 +261,11 @@ async fn numbers_of(out: &mut SqliteConnection, table: &str) -> sqlx::Result<Opt
 
 /// Shards without a run in any database; empty after a complete run of the whole sweep.
 pub(super) async fn missing_shards(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, u32, Vec<u32>)>> {
-    let rows: Vec<(String, i64, u32, u32)> = sqlx::query_as(
-            "SELECT s.name, -s.id, r.shards, r.shard FROM main.run r JOIN main.sweep s ON s.id = r.sweep_id
+    let sql = "SELECT s.name, -s.id, r.shards, r.shard FROM main.run r JOIN main.sweep s ON s.id = r.sweep_id
              WHERE r.shards BETWEEN 1 AND ? AND r.shard BETWEEN 1 AND r.shards AND NOT EXISTS (SELECT 1 FROM main.run w
                WHERE w.sweep_id = r.sweep_id AND w.shards = 1 AND w.outcome = 'complete')
-             GROUP BY s.id, r.shards, r.shard",
-        )
-        .bind(Shard::MOST)
-        .fetch_all(out)
-        .await?;
+             GROUP BY s.id, r.shards, r.shard";
+    let rows: Vec<(String, i64, u32, u32)> = sqlx::query_as(sql).bind(Shard::MOST).fetch_all(out).await?;
     let mut shards_of_sweep: BTreeMap<(i64, u32), (String, HashSet<u32>)> = BTreeMap::new();
     for (name, sweep, shards, shard) in rows {
         shards_of_sweep.entry((sweep, shards)).or_insert_with(|| (name, HashSet::new())).1.insert(shard);

@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use sqlx::sqlite::SqliteConnection;
-use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
+use sqlx::{AssertSqlSafe, ConnectOptions, Executor};
 
 use super::Extent;
 use crate::{sql, store};
@@ -84,26 +84,20 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     ] {
         sqlx::query(sql).bind(input as i64).execute(&mut *out).await?;
     }
-    out.execute(
-        "INSERT OR IGNORE INTO temp.thrown
-         SELECT t.hash, a.started_at FROM src.attempt a JOIN src.trial t ON t.id = a.trial_id WHERE a.redone",
-    )
-    .await?;
-    Ok(())
+    let thrown = "INSERT OR IGNORE INTO temp.thrown
+         SELECT t.hash, a.started_at FROM src.attempt a JOIN src.trial t ON t.id = a.trial_id WHERE a.redone";
+    out.execute(thrown).await.map(drop)
 }
 
 /// Verifies the checksums of an input's checkpoints and arrays and notes mismatches. For the former result (`base`), verifies
 /// only trials that another input has, too. A damaged checkpoint counts as no progress.
 pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool) -> sqlx::Result<()> {
-    let twice = if base {
-        "AND EXISTS (SELECT 1 FROM temp.candidate d WHERE d.hash = c.hash AND d.input <> c.input)"
-    } else {
-        ""
-    };
     let damage_query = |table: &str, name: &str| {
         format!(
             "INSERT INTO temp.damage SELECT c.input, c.old, {name} FROM temp.candidate c CROSS JOIN src.{table} x ON x.trial_id = c.old
-             WHERE c.input = ?1 {twice} AND x.digest IS NOT NULL AND x.digest <> blake3(x.bytes)"
+             WHERE c.input = ?1
+               AND (NOT {base} OR EXISTS (SELECT 1 FROM temp.candidate d WHERE d.hash = c.hash AND d.input <> c.input))
+               AND x.digest IS NOT NULL AND x.digest <> blake3(x.bytes)"
         )
     };
     for sql in [
@@ -181,8 +175,7 @@ pub(super) async fn make_room(out: &mut SqliteConnection, base: usize) -> sqlx::
         );
     }
     // Safe: contains only our own numbers and names.
-    out.execute(AssertSqlSafe(sql + "COMMIT")).await?;
-    Ok(())
+    out.execute(AssertSqlSafe(sql + "COMMIT")).await.map(drop)
 }
 
 /// Copies the chosen rows of an input, which is this file.
@@ -193,12 +186,8 @@ pub(super) async fn copy(
     extent: Extent,
 ) -> sqlx::Result<()> {
     out.execute("BEGIN").await?;
-    let source: i64 = sqlx::query_scalar(
-        "INSERT INTO main.source (file) VALUES (?) ON CONFLICT DO UPDATE SET state = NULL RETURNING id",
-    )
-    .bind(file.to_string_lossy())
-    .fetch_one(&mut *out)
-    .await?;
+    let sql = "INSERT INTO main.source (file) VALUES (?) ON CONFLICT DO UPDATE SET state = NULL RETURNING id";
+    let source: i64 = sqlx::query_scalar(sql).bind(file.to_string_lossy()).fetch_one(&mut *out).await?;
     let sweep = columns(out, "sweep", "id").await?;
     let run = columns(out, "run", "sweep_id").await?;
     let mut statements = vec![
@@ -247,8 +236,7 @@ pub(super) async fn copy(
         // Safe: contains only names of our own schema.
         sqlx::query(AssertSqlSafe(sql)).bind(input as i64).execute(&mut *out).await?;
     }
-    out.execute("COMMIT").await?;
-    Ok(())
+    out.execute("COMMIT").await.map(drop)
 }
 
 /// Values of attempts that are computed from their steps if missing, because facts contain no steps.
@@ -278,18 +266,15 @@ pub(super) async fn note(
         let sql = "UPDATE main.source SET state = ? WHERE file = ?";
         sqlx::query(sql).bind(state).bind(file.to_string_lossy()).execute(&mut *out).await?;
     }
-    out.execute("COMMIT").await?;
-    Ok(())
+    out.execute("COMMIT").await.map(drop)
 }
 
 /// Completes the result: ends attempts that a dead run, or one that continues elsewhere, left running.
 pub(super) async fn finish(out: &mut SqliteConnection) -> sqlx::Result<()> {
     out.execute(store::RELEASE_ORPHANS).await?;
-    out.execute(
-        "UPDATE main.sweep SET created_at = (SELECT min(s.created_at) FROM temp.sweeps s WHERE s.new = sweep.id)",
-    )
-    .await?;
-    Ok(())
+    let first = "UPDATE main.sweep
+         SET created_at = (SELECT min(s.created_at) FROM temp.sweeps s WHERE s.new = sweep.id)";
+    out.execute(first).await.map(drop)
 }
 
 /// Whether a database contains trials with facts only, and whether it contains whole trials.
@@ -311,25 +296,17 @@ pub(super) async fn trials(out: &mut SqliteConnection) -> sqlx::Result<usize> {
 
 /// `trial` and the tables with rows of trials, each with its column for the trial's id.
 pub(super) async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, String)>> {
-    let children = sqlx::query(
-        "SELECT t.name FROM main.sqlite_schema t, pragma_table_info(t.name) c
-         WHERE t.type = 'table' AND c.name = 'trial_id' AND t.name <> 'sweep_trial' ORDER BY t.name",
-    )
-    .fetch_all(out)
-    .await?;
-    let children = children.iter().map(|row| (row.get(0), "trial_id".to_owned()));
+    let sql = "SELECT t.name, c.name FROM main.sqlite_schema t, pragma_table_info(t.name) c
+         WHERE t.type = 'table' AND c.name = 'trial_id' AND t.name <> 'sweep_trial' ORDER BY t.name";
+    let children: Vec<(String, String)> = sqlx::query_as(sql).fetch_all(out).await?;
     Ok([("trial".to_owned(), "id".to_owned())].into_iter().chain(children).collect())
 }
 
 /// All columns of a table except `but`, as an SQL list.
 pub(super) async fn columns(out: &mut SqliteConnection, table: &str, but: &str) -> sqlx::Result<String> {
-    let names: Vec<String> =
-        sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') WHERE name <> ? ORDER BY cid")
-            .bind(table)
-            .bind(but)
-            .fetch_all(out)
-            .await?;
-    Ok(names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", "))
+    let sql = "SELECT group_concat('\"' || name || '\"', ', ' ORDER BY cid) FROM pragma_table_info(?, 'main')
+         WHERE name <> ?";
+    sqlx::query_scalar(sql).bind(table).bind(but).fetch_one(out).await
 }
 
 pub(super) fn prefix_columns(columns: &str) -> String {

@@ -163,14 +163,18 @@ async fn merge_in(
 ) -> Result<Summary, MergeError> {
     let mut summary = Summary::default();
     let of_result = |source| MergeError::Result { path: out.to_owned(), source: Box::new(source) };
-    let stopped = |input: &Path, source| MergeError::Stopped {
-        input: input.to_owned(),
-        out: out.to_owned(),
-        source: Box::new(source),
+    let stopped = |input: &Path, source| {
+        let (input, out, source) = (input.to_owned(), out.to_owned(), Box::new(source));
+        MergeError::Stopped { input, out, source }
     };
-    check_result(out)
-        .await
-        .map_err(|e| if let StoreError::InUse(..) = e { e.into() } else { of_result(e) })?;
+    // why an input is refused
+    let reason = |input: &Path, e: InputError| match e {
+        InputError::Shortage(source) => Err(stopped(input, source)),
+        InputError::Input(why) => Ok(why),
+        InputError::Changed => Ok(CHANGES.to_owned()),
+    };
+    let checked = check_result(out).await;
+    checked.map_err(|e| if let StoreError::InUse(..) = e { e.into() } else { of_result(e) })?;
     let ([facts, whole], known) =
         read_sources(out).await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
     match extent {
@@ -189,9 +193,7 @@ async fn merge_in(
         }
         match opened(&file, &mut copy, files::resolve_links(&file) == out).await {
             Ok(input) => inputs.push(input),
-            Err(InputError::Shortage(source)) => return Err(stopped(&file, source)),
-            Err(InputError::Input(why)) => summary.refused.push((file, why)),
-            Err(InputError::Changed) => summary.refused.push((file, CHANGES.into())),
+            Err(e) => summary.refused.push((file.clone(), reason(&file, e)?)),
         }
     }
     if summary.known > 0 && inputs.iter().all(|input| input.file == out) {
@@ -212,9 +214,7 @@ async fn merge_in(
         let base = inputs.iter().position(|input| input.file == out);
         let (i, why) = match build(&built, extent, base, &inputs, &mut summary).await {
             Ok(()) => break,
-            Err(BuildError::Output(source)) => {
-                return Err(MergeError::Sql { path: out.to_owned(), source });
-            }
+            Err(BuildError::Output(source)) => return Err(MergeError::Sql { path: out.to_owned(), source }),
             Err(BuildError::Input(i, source)) if store::is_shortage(&source) => {
                 return Err(stopped(&inputs[i].named, source));
             }
@@ -222,10 +222,6 @@ async fn merge_in(
                 return Err(of_result(StoreError::sql(out, "reading", source)));
             }
             Err(BuildError::Input(i, source)) => (i, format!("it cannot be read: {source}")),
-            Err(BuildError::Refused(i, InputError::Shortage(source))) => {
-                return Err(stopped(&inputs[i].named, source));
-            }
-            Err(BuildError::Refused(i, InputError::Input(why))) => (i, why),
             Err(BuildError::Refused(i, InputError::Changed)) => {
                 // Read it as it is now; if a process writes to it, make a copy, which does not change.
                 match opened(&inputs[i].named, &mut copy, false).await {
@@ -234,11 +230,10 @@ async fn merge_in(
                         std::fs::remove_file(&built).map_err(unwritable)?;
                         continue;
                     }
-                    Err(InputError::Shortage(source)) => return Err(stopped(&inputs[i].named, source)),
-                    Err(InputError::Input(why)) => (i, why),
-                    Err(InputError::Changed) => (i, CHANGES.into()),
+                    Err(e) => (i, reason(&inputs[i].named, e)?),
                 }
             }
+            Err(BuildError::Refused(i, e)) => (i, reason(&inputs[i].named, e)?),
         };
         summary.refused.push((inputs.remove(i).named, why));
         std::fs::remove_file(&built).map_err(unwritable)?;

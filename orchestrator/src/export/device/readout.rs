@@ -127,10 +127,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
         operations = outputs * channels,
         estimates = estimated.iter().filter_map(|of| of.first()).map(Vec::len).sum::<usize>(),
         tasks = readouts.len(),
-        from = match triggered {
-            true => " from the first one above TRIGGER on",
-            false => "",
-        },
+        from = if triggered { " from the first one above TRIGGER on" } else { "" },
     );
     text.push_str(match numbers {
         Numbers::F32 => "typedef float weight;\n",

@@ -137,10 +137,8 @@ fn facts(a: &Trial, b: &Trial) -> Table {
         (Some(x), Some(y)) if (a.is_f64() || b.is_f64()) && y != 0.0 => Value::from(number(x / y)),
         _ => Value::Null,
     };
-    Table::new(
-        "what first second ratio",
-        rows.map(|(name, (a, b))| vec![name.replace('_', " ").into(), a.clone(), b.clone(), ratio(a, b)]),
-    )
+    let rows = rows.map(|(name, (a, b))| row![name.replace('_', " "), a, b, ratio(a, b)]);
+    Table::new("what first second ratio", rows)
 }
 
 fn differences(a: &Trial, b: &Trial) -> Table {
@@ -148,8 +146,5 @@ fn differences(a: &Trial, b: &Trial) -> Table {
     let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
     let text = |value: Option<&Value>| value.map_or(Value::Null, |value| brief(value).into());
     let rows = keys.into_iter().filter(|key| a.get(*key) != b.get(*key));
-    Table::new(
-        "key first second",
-        rows.map(|key| vec![key.clone().into(), text(a.get(key)), text(b.get(key))]),
-    )
+    Table::new("key first second", rows.map(|key| row![key, text(a.get(key)), text(b.get(key))]))
 }

@@ -136,17 +136,10 @@ fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str, down: &str) -> (Vec<Pictu
                     format!("trials{}", query(&[("q", &asked)]))
                 }),
             };
-            let told = value(rows);
+            let (told, all) = (value(rows), counted(rows.len(), "trial"));
             let state = if rows.iter().any(|row| row.state == "running") { "…" } else { "–" };
-            Cell {
-                text: told.map_or(state.into(), number),
-                part: told.map_or(0.0, part),
-                title: format!(
-                    "M = {sensors}, {down} {name}: {done} of {} done",
-                    counted(rows.len(), "trial")
-                ),
-                to,
-            }
+            let title = format!("M = {sensors}, {down} {name}: {done} of {all} done");
+            Cell { text: told.map_or(state.into(), number), part: told.map_or(0.0, part), title, to }
         };
         let drawn: Vec<Vec<Cell>> =
             rows.iter().map(|name| across.iter().map(|m| cell(name, *m)).collect()).collect();

@@ -39,11 +39,8 @@ pub async fn home(State(served): State<Arc<ServerState>>) -> Response {
 
 /// A page outside databases. `up`: path from it to the first page; `steers`: whether runs can be controlled.
 fn bare((up, steers): (&str, bool), title: &str, content: &Markup) -> String {
-    document(
-        &format!("{title} – metasense"),
-        &head(up, steers),
-        &html! { body { main id="main" { h1 { (title) } (content) } } },
-    )
+    let content = html! { body { main id="main" { h1 { (title) } (content) } } };
+    document(&format!("{title} – metasense"), &head(up, steers), &content)
 }
 
 /// The page of a refusal.

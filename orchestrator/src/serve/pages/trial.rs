@@ -306,11 +306,8 @@ fn curves_of(trial: &Trial) -> Markup {
     if !train.is_empty() {
         keys.push(("front", "training set".into()));
     }
-    let steps = curves(
-        "Error during training of the body",
-        ["outer step", "error (%)"],
-        &[("front", train), ("optimised", test)],
-    );
+    let lines = [("front", train), ("optimised", test)];
+    let steps = curves("Error during training of the body", ["outer step", "error (%)"], &lines);
     let error_points = |body: &str| -> Vec<(f64, f64)> {
         let own = trial.curves.rows.iter().filter(|row| row[0] == body && row[1] == 0);
         own.filter_map(|row| row[2].as_f64().zip(row[3].as_f64())).collect()

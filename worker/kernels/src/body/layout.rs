@@ -4,7 +4,7 @@
 //! reference point, h = (spacing − ligament length)/2. Each node group has a 2-vector of the design α; both ends of a ligament are in one
 //! group. Lattices repeat a [`Pattern`]; node p of a square lies at h·(cos pπ/2, sin pπ/2).
 
-use super::geometry::moments;
+use super::geometry::{difference, moments};
 use super::pattern::{End, Pattern};
 use super::rigid::Follower;
 use crate::random::{Purpose, Stream};
@@ -173,19 +173,18 @@ impl Layout {
             [0, 1].map(|d| points.iter().map(|q| q[d]).sum::<f64>() / points.len() as f64)
         };
         let length = |[x, y]: [f64; 2]| x.hypot(y);
-        let between = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];
         let centres: Vec<[f64; 2]> = polygons.iter().map(|points| mean(points)).collect();
         let free = |[a, b]: &&[End; 2]| !rigid.contains(&a.unit) && !rigid.contains(&b.unit);
         let some_free = ligaments.iter().any(|ends| free(&ends));
         let measured = || ligaments.iter().filter(move |ends| !some_free || free(ends));
         let count = measured().count().max(1) as f64;
-        let pitch = measured().map(|[a, b]| length(between(centres[a.unit], centres[b.unit])));
-        let bare = |[a, b]: &[End; 2]| length(between(polygons[a.unit][a.node], polygons[b.unit][b.node]));
+        let pitch = measured().map(|[a, b]| length(difference(centres[b.unit], centres[a.unit])));
+        let bare = |[a, b]: &[End; 2]| length(difference(polygons[b.unit][b.node], polygons[a.unit][a.node]));
         let spacing = pitch.sum::<f64>() / count;
         let ligament_length = measured().map(bare).sum::<f64>() / count;
         let half = 0.5 * (spacing - ligament_length);
         let relative = |(points, c): (&Vec<[f64; 2]>, &[f64; 2])| {
-            points.iter().map(|q| between(*c, *q).map(|x| x / half)).collect()
+            points.iter().map(|q| difference(*q, *c).map(|x| x / half)).collect()
         };
 
         // Each set of nodes that shift together is represented by its least end.
@@ -269,10 +268,10 @@ impl Layout {
         let reference = |ligament: &Ligament| {
             let [a, b] = [ligament.a, ligament.b];
             let (c, d) = (self.centres[a.unit], self.centres[b.unit]);
-            let away = [d[0] - c[0], d[1] - c[1]];
+            let away = difference(d, c);
             let straight = away.map(|x| x / away[0].hypot(away[1]) * self.ligament_length);
             let (p, q) = (place(a), place(b));
-            let bare = [q[0] - p[0], q[1] - p[1]];
+            let bare = difference(q, p);
             let off = (bare[0] - straight[0]).hypot(bare[1] - straight[1]);
             if off < 1e-9 * self.spacing { straight } else { bare }
         };

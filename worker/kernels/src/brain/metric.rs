@@ -12,13 +12,8 @@ pub fn prediction_error(
     panels: usize,
     instants: usize,
 ) -> Vec<Option<f64>> {
-    let one = panels * instants;
-    assert!(
-        force.len() == predicted.len() && force.len().is_multiple_of(one),
-        "{} {}",
-        force.len(),
-        predicted.len()
-    );
+    let (one, lengths) = (panels * instants, [force.len(), predicted.len()]);
+    assert!(lengths[0] == lengths[1] && lengths[0].is_multiple_of(one), "{} {}", lengths[0], lengths[1]);
     let errors = force.chunks_exact(one).zip(predicted.chunks_exact(one)).map(|(f, p)| {
         let power: f64 = f.iter().map(|f| f * f).sum();
         let missed: f64 = f.iter().zip(p).map(|(f, p)| (f - p) * (f - p)).sum();

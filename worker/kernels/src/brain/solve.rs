@@ -103,6 +103,6 @@ pub fn solve_implicit(
     conjugate_gradient(|v, out| curvature.product(v, out, ws, pool), b, shift, tolerance, limit)
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -47,14 +47,14 @@ impl<V: Vector> Balance<V> {
         for (k, f) in force.iter().enumerate() {
             before.push([displacement_along(system, k, x), *f]);
         }
-        let mut driving_force = vec![[zero; 3]; model.driven.len()];
-        if !driving_force.is_empty() {
-            system.driving_forces(x, &mut driving_force);
+        let mut needs = vec![[zero; 3]; model.driven.len()];
+        if !needs.is_empty() {
+            system.driving_forces(x, &mut needs);
         }
-        let mut driven = Vec::with_capacity(driving_force.len());
-        for (needs, &u) in driving_force.iter().zip(&model.driven) {
+        let mut driven = Vec::with_capacity(needs.len());
+        for (own, &u) in needs.iter().zip(&model.driven) {
             let [p, q, r] = x[u];
-            driven.push([[V::narrow(p), V::narrow(q), V::narrow(r)], *needs]);
+            driven.push([[V::narrow(p), V::narrow(q), V::narrow(r)], *own]);
         }
         let touching =
             |c| model.bars.iter().flat_map(|bar| bar.voids).map(|psi| contact_energy(c, psi)).sum();
@@ -65,17 +65,7 @@ impl<V: Vector> Balance<V> {
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
         let floors = model.bars.iter().map(|bar| epsilon * bar.stiffness[0] * bar.length * bar.length);
         let floor = floors.fold(epsilon * pressed.lane(0), f64::max);
-        Self {
-            mass,
-            before,
-            driven,
-            needs: driving_force,
-            work,
-            most: work,
-            dissipated: zero,
-            pressed,
-            floor,
-        }
+        Self { mass, before, driven, needs, work, most: work, dissipated: zero, pressed, floor }
     }
 
     /// Adds the work done up to the positions `x` and the forces `force`, and the energy `lost` since the previous call.

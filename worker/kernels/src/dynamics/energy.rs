@@ -72,7 +72,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let zero = Base::splat(0.0);
     let x: Vec<[Base; 3]> = displacement.iter().map(|d| d.map(Base::splat)).collect();
     let (mut turn, mut g) = (vec![Turn::NONE; n], vec![[zero; 3]; n]);
-    let mut cotangent = ModelCotangent::new(&model);
+    let mut cotangent = ModelCotangent::new(&model, 0.0);
     let mut kept = vec![[[zero; 2]; 2]; model.bars.len()];
     let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => gradient::<Base, false, false, true>,

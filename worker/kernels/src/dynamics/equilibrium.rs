@@ -7,7 +7,7 @@
 //! (Nocedal & Wright, Numerical Optimization, 2006, ch. 3). While K stays positive definite, this is the stable equilibrium of
 //! slow compression. Where K loses that, the body buckles, and its direction is undetermined.
 
-use super::ligaments::{ShapeCotangent, Turn, energy, gradient, product, turns};
+use super::ligaments::{Turn, energy, gradient, product, turns};
 use super::model::{Model, ModelCotangent};
 use super::stiffness::{columns, hessian, sparse, unknowns};
 use super::{Outcome, Scene};
@@ -64,11 +64,8 @@ pub fn touches(scene: &Scene, design: &[f64]) -> bool {
 /// # Errors
 /// `Buckled` or `NoEquilibrium`.
 pub fn equilibrium(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
-    assert_eq!(
-        scene.imposed.len(),
-        scene.clamped.len() + scene.guided.len(),
-        "number of displacements of held units"
-    );
+    let held = scene.clamped.len() + scene.guided.len();
+    assert_eq!(scene.imposed.len(), held, "number of displacements of held units");
     let lengths = model.bars.iter().map(|bar| bar.length);
     let length = if model.bars.is_empty() { 1.0 } else { lengths.sum::<f64>() / model.bars.len() as f64 };
     let total = scene.imposed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
@@ -197,34 +194,22 @@ pub fn add_start_vjp(scene: &Scene, model: &Model, cotangent: &mut ModelCotangen
         return;
     }
     // −λᵀ ∂²U/∂s∂α with λ = K⁻¹ times that cotangent
-    let w: Vec<[Base; 3]> = follow(scene, model, &cotangent.start).iter().map(|w| w.map(one_lane)).collect();
+    let w = follow(scene, model, &cotangent.start);
+    let w: Vec<[Base; 3]> = w.iter().map(|w| w.map(|w| Base::gather(&[w]))).collect();
     let zero = Base::splat(0.0);
     let x: Vec<[Base; 3]> = model.start().iter().map(|x| x.map(Base::splat)).collect();
     let mut turn = vec![Turn::NONE; x.len()];
     turns::<Base>(&x, &mut turn);
-    let (mut arms, mut voids) = (vec![[zero; 2]; cotangent.arms.len()], vec![[zero; 2]; model.ligaments]);
-    let (mut stiffness, mut contact) = (vec![[zero; 3]; model.ligaments], zero);
-    let shape = ShapeCotangent {
-        arms: &mut arms,
-        voids: &mut voids,
-        stiffness: &mut stiffness,
-        contact: &mut contact,
-    };
+    let mut own = ModelCotangent::new(model, zero);
     let kernel = match scene.linearised {
         false => product::<Base, false, true, false, true>,
         true => product::<Base, true, true, false, true>,
     };
     let mut unread = vec![[zero; 3]; x.len()];
-    kernel(model, &model.bars, &x, &w, &turn, &mut [], &mut unread, shape);
+    kernel(model, &model.bars, &x, &w, &turn, &mut [], &mut unread, own.shape());
     let add = |to: &mut [f64], from: &[Base]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f.lane(0));
-    add(cotangent.arms.as_flattened_mut(), arms.as_flattened());
-    add(cotangent.voids.as_flattened_mut(), voids.as_flattened());
-    add(cotangent.stiffness.as_flattened_mut(), stiffness.as_flattened());
-    cotangent.contact += contact.lane(0);
-}
-
-fn one_lane(x: f64) -> Base {
-    let mut lanes = Base::ZERO;
-    lanes.set_lane(0, x);
-    lanes
+    add(cotangent.arms.as_flattened_mut(), own.arms.as_flattened());
+    add(cotangent.voids.as_flattened_mut(), own.voids.as_flattened());
+    add(cotangent.stiffness.as_flattened_mut(), own.stiffness.as_flattened());
+    cotangent.contact += own.contact.lane(0);
 }

@@ -219,7 +219,7 @@ impl Simulation {
                 })
                 .collect()
         });
-        let mut total = ModelCotangent::new(&model);
+        let mut total = ModelCotangent::new(&model, 0.0);
         let mut counters = Counters::default();
         let history = forces.panels * (forces.instants + 1);
         let mut pushed = (wrt == Wrt::Forces).then(|| vec![0.0; forces.samples * history]);
@@ -250,11 +250,8 @@ fn check(scene: &Scene, design: &[f64], forces: &Forces) {
         forces.instants,
         scene.instants
     );
-    assert_eq!(
-        forces.values.len(),
-        forces.samples * forces.panels * (forces.instants + 1),
-        "length of the forces"
-    );
+    let len = forces.samples * forces.panels * (forces.instants + 1);
+    assert_eq!(forces.values.len(), len, "length of the forces");
     let strikes = forces.strikes.len();
     assert!([0, forces.samples * forces.panels].contains(&strikes), "{strikes} strikes");
     let named =

@@ -392,12 +392,8 @@ impl Simulation {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
         for (along, of) in [(tangent.design, &tape.design[..]), (tangent.forces, tape.forces.sample(sample))]
         {
-            assert!(
-                along.is_empty() || along.len() == of.len(),
-                "length of the direction is {}; must be 0 or {}",
-                along.len(),
-                of.len()
-            );
+            let (len, own) = (along.len(), of.len());
+            assert!([0, own].contains(&len), "length of the direction is {len}; must be 0 or {own}");
         }
         let body = DualBody::new(tape, sample, tangent);
         let own = &tape.samples[sample];

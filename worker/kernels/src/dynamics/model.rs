@@ -1,5 +1,6 @@
 //! Combines a scene with a design in the form that the kernels use.
 
+use super::ligaments::ShapeCotangent;
 use super::{Contact, Inertia, Outcome, Panel, Parameters, PartFactors, Scene, Stiffness, Strike};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
@@ -234,38 +235,48 @@ impl Model {
 
 /// Cotangents of the quantities that a model derives from its design.
 #[derive(Debug, Clone)]
-pub struct ModelCotangent {
+pub struct ModelCotangent<T = f64> {
     /// Cotangent of the arms.
-    pub arms: Vec<[f64; 2]>,
+    pub arms: Vec<[T; 2]>,
     /// Cotangent of (m, m, J) of each unit.
-    pub mass: Vec<[f64; 3]>,
+    pub mass: Vec<[T; 3]>,
     /// Cotangent of the void angles at rest.
-    pub voids: Vec<[f64; 2]>,
+    pub voids: Vec<[T; 2]>,
     /// Cotangent of k_l, k_s, k_θ of each ligament at constant C; only for parameters.
-    pub stiffness: Vec<[f64; 3]>,
+    pub stiffness: Vec<[T; 3]>,
     /// Cotangent of k_c; only for parameters.
-    pub contact: f64,
+    pub contact: T,
     /// Cotangent of C; only for parameters.
-    pub damping: [f64; 3],
+    pub damping: [T; 3],
     /// Cotangent of the state at the start of a sample.
-    pub start: Vec<[f64; 3]>,
+    pub start: Vec<[T; 3]>,
 }
 
-impl ModelCotangent {
-    /// All zero.
-    pub fn new(model: &Model) -> Self {
+impl<T: Copy> ModelCotangent<T> {
+    /// All `zero`.
+    #[inline(always)]
+    pub fn new(model: &Model, zero: T) -> Self {
         let n = model.units();
         Self {
-            arms: vec![[0.0; 2]; model.geometry.arms.len()],
-            mass: vec![[0.0; 3]; n],
-            voids: vec![[0.0; 2]; model.ligaments],
-            stiffness: vec![[0.0; 3]; model.ligaments],
-            contact: 0.0,
-            damping: [0.0; 3],
-            start: vec![[0.0; 3]; n],
+            arms: vec![[zero; 2]; model.geometry.arms.len()],
+            mass: vec![[zero; 3]; n],
+            voids: vec![[zero; 2]; model.ligaments],
+            stiffness: vec![[zero; 3]; model.ligaments],
+            contact: zero,
+            damping: [zero; 3],
+            start: vec![[zero; 3]; n],
         }
     }
 
+    /// Cotangents to which second derivatives of the energy add.
+    #[inline(always)]
+    pub fn shape(&mut self) -> ShapeCotangent<'_, T> {
+        let Self { arms, voids, stiffness, contact, .. } = self;
+        ShapeCotangent { arms, voids, stiffness, contact }
+    }
+}
+
+impl ModelCotangent {
     /// Adds `other`.
     pub fn add(&mut self, other: &Self) {
         let add = |to: &mut [f64], from: &[f64]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f);

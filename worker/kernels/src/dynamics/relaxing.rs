@@ -72,7 +72,7 @@ fn block<V: Vector, const LINEAR: bool>(
     loads.at(0, 0.0, &mut force);
     system.prepare(&x, &mut g);
     // the branches are relaxed in the starting state
-    relax::<V, LINEAR>(system.bars(), &x, &system.turn, (0.0, 0.0), &mut past, &mut pull);
+    relax::<V, LINEAR>(&system.bars, &x, &system.turn, (0.0, 0.0), &mut past, &mut pull);
     system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in 0..scene.instants {
         heartbeat.beat();
@@ -81,7 +81,7 @@ fn block<V: Vector, const LINEAR: bool>(
             for (j, (b, memory)) in scheme.kicks.iter().zip(&memory).enumerate() {
                 pull.fill([V::ZERO; 3]);
                 let by = (share * memory.reach, memory.keep);
-                relax::<V, LINEAR>(system.bars(), &x, &system.turn, by, &mut past, &mut pull);
+                relax::<V, LINEAR>(&system.bars, &x, &system.turn, by, &mut past, &mut pull);
                 let b = V::splat(b * h);
                 for u in moving.clone() {
                     for d in 0..3 {
@@ -105,7 +105,7 @@ fn block<V: Vector, const LINEAR: bool>(
         }
         // a = −M⁻¹(∂U − f + Bᵀ g k (ε − q)) − γ v at the instant
         let mut a: Vec<Unit<V>> = g.clone();
-        relax::<V, LINEAR>(system.bars(), &x, &system.turn, (share, 1.0), &mut past, &mut a);
+        relax::<V, LINEAR>(&system.bars, &x, &system.turn, (share, 1.0), &mut past, &mut a);
         let mut size = V::Wide::ZERO;
         for u in moving.clone() {
             for d in 0..3 {

@@ -19,27 +19,14 @@ impl Scheme {
 
     /// SRKN₆ᵇ of Blanes and Moan: order 4, 6 force evaluations per step.
     pub fn fourth() -> Self {
-        let (b, a) = (
-            [0.0829844064174052, 0.396309801498368, -0.0390563049223486],
-            [0.245298957184271, 0.60487266571108],
-        );
-        let middle = 1.0 - 2.0 * b.iter().sum::<f64>();
-        let inner = 0.5 - a.iter().sum::<f64>();
-        Self {
-            kicks: vec![b[0], b[1], b[2], middle, b[2], b[1], b[0]],
-            drifts: vec![a[0], a[1], inner, inner, a[1], a[0]],
-        }
+        let kicks = symmetric(&[0.0829844064174052, 0.396309801498368, -0.0390563049223486], 1);
+        Self { kicks, drifts: symmetric(&[0.245298957184271, 0.60487266571108], 2) }
     }
 
     /// S₆ of Blanes and Moan: order 4 for arbitrary kicks and drifts, 6 force evaluations per step.
     pub fn any_fourth() -> Self {
-        let b = [0.0792036964311957, 0.353172906049774, -0.0420650803577195];
-        let a = [0.209515106613362, -0.143851773179818];
-        let (middle, inner) = (1.0 - 2.0 * b.iter().sum::<f64>(), 0.5 - a.iter().sum::<f64>());
-        Self {
-            kicks: vec![b[0], b[1], b[2], middle, b[2], b[1], b[0]],
-            drifts: vec![a[0], a[1], inner, inner, a[1], a[0]],
-        }
+        let kicks = symmetric(&[0.0792036964311957, 0.353172906049774, -0.0420650803577195], 1);
+        Self { kicks, drifts: symmetric(&[0.209515106613362, -0.143851773179818], 2) }
     }
 
     /// SRKN₁₁ᵇ of Blanes and Moan: order 6, 11 force evaluations per step.
@@ -53,21 +40,20 @@ impl Scheme {
         ];
         let a =
             [0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928];
-        let inner = 0.5 - b.iter().sum::<f64>();
-        let middle = 1.0 - 2.0 * a.iter().sum::<f64>();
-        let mut kicks = b.to_vec();
-        kicks.extend([inner, inner]);
-        kicks.extend(b.iter().rev());
-        let mut drifts = a.to_vec();
-        drifts.push(middle);
-        drifts.extend(a.iter().rev());
-        Self { kicks, drifts }
+        Self { kicks: symmetric(&b, 2), drifts: symmetric(&a, 1) }
     }
 
     /// Force evaluations per step.
     pub fn stages(&self) -> usize {
         self.drifts.len()
     }
+}
+
+/// The coefficients `outer`, then one or two equal ones with which all sum to 1, then `outer` in reverse.
+fn symmetric(outer: &[f64], inner: usize) -> Vec<f64> {
+    let sum = outer.iter().sum::<f64>();
+    let middle = vec![if inner == 1 { 1.0 - 2.0 * sum } else { 0.5 - sum }; inner];
+    outer.iter().chain(&middle).chain(outer.iter().rev()).copied().collect()
 }
 
 /// e = exp(−γτ) and (1 − e)/γ of a drift over the time τ, and their derivatives in γ.

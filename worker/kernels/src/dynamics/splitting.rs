@@ -13,10 +13,10 @@ use super::balance::Balance;
 use super::jobs::{Backward, Job};
 use super::ligaments::Place;
 use super::loads::LockstepForces;
-use super::model::Model;
+use super::model::{Model, ModelCotangent};
 use super::readings::{load_lanes, read_lane, store_lane};
 use super::schemes::{Drift, Scheme};
-use super::system::{Cotangent, System, Unit, add_into};
+use super::system::{System, Unit, add_into};
 use super::{Counters, Forces, Outcome, Scene};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
@@ -26,7 +26,7 @@ use crate::lanes::{MOST, Scalar, Vector};
 const CHECK_EVERY: usize = 8;
 
 /// Number of checkpoints per interval, chosen so that damping amplifies rounding by at most about e⁶ in the reverse sweep.
-pub fn segments(scene: &Scene, model: &super::model::Model, substeps: usize) -> usize {
+pub fn segments(scene: &Scene, model: &Model, substeps: usize) -> usize {
     let delta = scene.duration / scene.instants as f64;
     let rates = model.inverse_mass.iter().flat_map(|m| (0..3).map(|d| m[d] * model.damping[d]));
     let fastest = rates.fold(0.0, f64::max);
@@ -51,7 +51,7 @@ struct StepCoefficients<S> {
 }
 
 impl<S: Scalar> StepCoefficients<S> {
-    fn new(scheme: &Scheme, model: &super::model::Model, h: f64) -> Self {
+    fn new(scheme: &Scheme, model: &Model, h: f64) -> Self {
         let gamma: Vec<[f64; 3]> =
             model.inverse_mass.iter().map(|m| std::array::from_fn(|d| m[d] * model.damping[d])).collect();
         let drift = |a: &f64| gamma.iter().map(|g| g.map(|g| Drift::new(g, a * h).rounded())).collect();
@@ -246,13 +246,8 @@ pub fn forward<V: Vector>(
                 for (l, job) in jobs.iter_mut().enumerate() {
                     if let Some(tape) = &mut job.tape {
                         let len = 6 * free.len();
-                        store_lane(
-                            free,
-                            &x,
-                            &v,
-                            l,
-                            &mut tape.states[(interval * checkpoints_per_interval + part) * len..][..len],
-                        );
+                        let at = (interval * checkpoints_per_interval + part) * len;
+                        store_lane(free, &x, &v, l, &mut tape.states[at..][..len]);
                     }
                 }
                 part += 1;
@@ -445,7 +440,7 @@ pub fn reverse<V: Vector>(
                         bars.w[u][d] = bars.w[u][d] + bar_a;
                         bars.v[u][d] = gamma.mul_sub_from(bar_a, bars.v[u][d]);
                         let rate = V::from_scalar(system.inverse_mass[u][d]) * (bar_a * V::narrow(v[u][d]));
-                        let Cotangent { mass, damping, .. } = &mut system.cotangent;
+                        let ModelCotangent { mass, damping, .. } = &mut system.cotangent;
                         mass[u][d] = gamma.mul_add(rate, mass[u][d]);
                         damping[d] = damping[d] - rate;
                     }
@@ -470,16 +465,8 @@ pub fn reverse<V: Vector>(
                 for j in (0..stages).rev() {
                     let kick = if j == 0 { last + first } else { ready.kicks[j] };
                     let next = awake * V::Wide::splat(kick);
-                    system.retreat(
-                        b,
-                        &ready.drifts[j],
-                        &ready.gamma,
-                        V::narrow(next),
-                        &mut x,
-                        &mut v,
-                        &mut g,
-                        &mut bars,
-                    );
+                    let (drifts, gamma) = (&ready.drifts[j], &ready.gamma);
+                    system.retreat(b, drifts, gamma, V::narrow(next), &mut x, &mut v, &mut g, &mut bars);
                     // the first kick of a segment belongs to the preceding checkpoint
                     if j == 0 && step == begins {
                         continue;

@@ -41,18 +41,6 @@ pub struct Kernels<V: Vector> {
     pub product: ProductKernel<V>,
 }
 
-/// Cotangents of the model in lanes. Those of arms, void angles and stiffnesses have the opposite sign.
-pub struct Cotangent<V> {
-    arms: Vec<[V; 2]>,
-    voids: Vec<[V; 2]>,
-    pub(super) mass: Vec<Unit<V>>,
-    stiffness: Vec<[V; 3]>,
-    contact: V,
-    pub(super) damping: [V; 3],
-    /// Cotangent of the state at the start of a sample.
-    pub(super) start: Vec<Unit<V>>,
-}
-
 /// Data to compute cotangents w of forces from those of accelerations.
 pub struct ForceCotangent<'a, V: Vector> {
     /// 1/(m, m, J).
@@ -61,13 +49,6 @@ pub struct ForceCotangent<'a, V: Vector> {
     pub damping: [f64; 3],
     /// Cotangent of (m, m, J).
     pub mass: &'a mut [Unit<V>],
-}
-
-/// Ligaments in the scalar type of the lanes.
-struct BarSets<S> {
-    all: Vec<Bar<S>>,
-    /// Those of driven units.
-    driven: Vec<Bar<S>>,
 }
 
 /// A model with scratch memory, for one vector of samples.
@@ -81,14 +62,19 @@ pub struct System<'a, V: Vector> {
     pub damping: [f64; 3],
     /// Whether to compute the cotangent of `damping`.
     pub damping_asked: bool,
-    bars: BarSets<V::Scalar>,
+    /// Ligaments in the scalar type of the lanes.
+    pub(super) bars: Vec<Bar<V::Scalar>>,
+    /// Those of driven units.
+    driven_bars: Vec<Bar<V::Scalar>>,
     /// Force and moment on the unit per newton on each panel.
     strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
     pub(super) turn: Vec<Turn<V>>,
     h: Vec<Unit<V>>,
-    w: Vec<Unit<V>>,
-    pub(super) cotangent: Cotangent<V>,
+    /// Cotangents of the forces that the last `acceleration_vjp` computed.
+    pub(super) w: Vec<Unit<V>>,
+    /// Those of arms, void angles and stiffnesses have the opposite sign.
+    pub(super) cotangent: ModelCotangent<V>,
 }
 
 impl<'a, V: Vector> System<'a, V> {
@@ -114,31 +100,15 @@ impl<'a, V: Vector> System<'a, V> {
             kernels,
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
-            bars: BarSets {
-                all: model.bars.iter().map(Bar::rounded).collect(),
-                driven: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
-            },
+            bars: model.bars.iter().map(Bar::rounded).collect(),
+            driven_bars: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
             strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
             turn: vec![Turn::NONE; n],
             h: vec![[zero; 3]; n],
             w: vec![[zero; 3]; n],
-            cotangent: Cotangent {
-                arms: vec![[zero; 2]; model.geometry.arms.len()],
-                voids: vec![[zero; 2]; model.ligaments],
-                mass: vec![[zero; 3]; n],
-                stiffness: vec![[zero; 3]; model.ligaments],
-                contact: zero,
-                damping: [zero; 3],
-                start: vec![[zero; 3]; n],
-            },
+            cotangent: ModelCotangent::new(model, zero),
         }
-    }
-
-    /// All ligaments.
-    #[inline(always)]
-    pub fn bars(&self) -> &[Bar<V::Scalar>] {
-        &self.bars.all
     }
 
     /// Zeros, one entry per unit.
@@ -198,18 +168,18 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn energy(&self, x: &[Place<V>]) -> V {
         // SAFETY: as in `add_forces`.
-        unsafe { (self.kernels.energy)(self.model, &self.bars.all, x, &self.turn) }
+        unsafe { (self.kernels.energy)(self.model, &self.bars, x, &self.turn) }
     }
 
     /// Overwrites `reaction` with ∂U/∂s of each driven unit at the prepared `x`.
     #[inline(always)]
     pub fn driving_forces(&mut self, x: &[Place<V>], reaction: &mut [Unit<V>]) {
-        for bar in &self.bars.driven {
+        for bar in &self.driven_bars {
             (self.h[bar.a], self.h[bar.b]) = ([V::ZERO; 3], [V::ZERO; 3]);
         }
         // SAFETY: as in `add_forces`.
         unsafe {
-            (self.kernels.gradient)(self.model, &self.bars.driven, x, &self.turn, &mut self.h, &mut {
+            (self.kernels.gradient)(self.model, &self.driven_bars, x, &self.turn, &mut self.h, &mut {
                 V::splat(1.0)
             })
         };
@@ -222,7 +192,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn add_forces(&mut self, x: &[Place<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
-        unsafe { (self.kernels.gradient)(self.model, &self.bars.all, x, &self.turn, g, margin) };
+        unsafe { (self.kernels.gradient)(self.model, &self.bars, x, &self.turn, g, margin) };
         self.subtract_forces(force, g);
     }
 
@@ -236,10 +206,9 @@ impl<'a, V: Vector> System<'a, V> {
         g: &mut [Unit<V>],
         bar_x: &mut [Unit<V>],
     ) {
-        let Cotangent { arms, voids, stiffness, contact, .. } = &mut self.cotangent;
-        let shape = ShapeCotangent { arms, voids, stiffness, contact };
+        let shape = self.cotangent.shape();
         // SAFETY: as in `add_forces`.
-        unsafe { (self.kernels.second)(self.model, &self.bars.all, x, w, &self.turn, g, bar_x, shape) };
+        unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
         self.subtract_forces(force, g);
         self.push_vjp(force, w);
     }
@@ -367,12 +336,6 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Cotangents of the forces that the last `acceleration_vjp` computed.
-    #[inline(always)]
-    pub fn weights(&self) -> &[Unit<V>] {
-        &self.w
-    }
-
     /// Converts ∂U/∂s − f into accelerations.
     #[inline(always)]
     fn finish(&self, v: &[Place<V>], a: &mut [Unit<V>]) {
@@ -422,8 +385,7 @@ impl<'a, V: Vector> System<'a, V> {
             }
         }
         if self.damping_asked {
-            let Cotangent { damping, .. } = &mut self.cotangent;
-            damping_cotangent(damping, &self.w, v);
+            damping_cotangent(&mut self.cotangent.damping, &self.w, v);
         }
     }
 
@@ -438,19 +400,10 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn product(&mut self, x: &[Place<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
         self.prepare(x, curved);
-        let Cotangent { arms, voids, stiffness, contact, .. } = &mut self.cotangent;
-        let shape = ShapeCotangent { arms, voids, stiffness, contact };
+        let shape = self.cotangent.shape();
         let unread = &mut self.h;
         // SAFETY: as in `add_forces`.
-        unsafe {
-            (self.kernels.product)(self.model, &self.bars.all, x, w, &self.turn, unread, curved, shape)
-        };
-    }
-
-    /// Adds the cotangent of C for forces with the cotangents `w` at velocities `v`.
-    #[inline(always)]
-    pub fn add_damping_cotangent(&mut self, w: &[Unit<V>], v: &[Place<V>]) {
-        damping_cotangent(&mut self.cotangent.damping, w, v);
+        unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
     }
 
     /// Adds the cotangents of state and acceleration for the cotangent `bar`[3m + channel] of the signals.
@@ -501,7 +454,7 @@ impl<'a, V: Vector> System<'a, V> {
     /// Sums the cotangents over the lanes, in order, and clears them.
     #[inline(always)]
     pub fn take_cotangent(&mut self) -> ModelCotangent {
-        let mut sum = ModelCotangent::new(self.model);
+        let mut sum = ModelCotangent::new(self.model, 0.0);
         for (to, from) in sum.arms.iter_mut().zip(&mut self.cotangent.arms) {
             *to = [-total(&mut from[0]), -total(&mut from[1])];
         }
@@ -519,9 +472,8 @@ impl<'a, V: Vector> System<'a, V> {
         for (to, from) in sum.start.iter_mut().zip(&mut self.cotangent.start) {
             *to = std::array::from_fn(|d| total(&mut from[d]));
         }
-        let Cotangent { contact, damping, .. } = &mut self.cotangent;
-        sum.contact = -total(contact);
-        sum.damping = std::array::from_fn(|d| total(&mut damping[d]));
+        sum.contact = -total(&mut self.cotangent.contact);
+        sum.damping = std::array::from_fn(|d| total(&mut self.cotangent.damping[d]));
         sum
     }
 }
@@ -532,8 +484,9 @@ fn total<V: Vector>(lanes: &mut V) -> f64 {
     lanes.lanes().iter().map(|x| x.to_f64()).sum()
 }
 
+/// Adds the cotangent of C for forces with the cotangents `w` at velocities `v`.
 #[inline(always)]
-fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Place<V>]) {
+pub fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Place<V>]) {
     for (w, v) in w.iter().zip(v) {
         for d in 0..3 {
             damping[d] = w[d].mul_sub_from(V::narrow(v[d]), damping[d]);

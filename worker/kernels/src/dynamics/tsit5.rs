@@ -30,6 +30,7 @@ const STEP_LIMIT: u64 = 4_000_000;
 const LEAST_STEP: f64 = 1e-11;
 
 /// State of a lane.
+#[derive(Default)]
 struct Lane<'s, 'a> {
     job: Option<&'s mut Job<'a>>,
     interval: usize,
@@ -70,24 +71,14 @@ pub fn forward<V: Vector<Wide = V>>(
     let mut force = vec![zero; scene.panels.len()];
     let mut loads = FreeForces::new(scene.panels.len());
     let mut counters = Counters::default();
-    let mut lanes: [Lane<'_, '_>; LANES] = std::array::from_fn(|_| Lane {
-        job: None,
-        interval: 0,
-        tau: 0.0,
-        proposed: 0.0,
-        h: 0.0,
-        parts: 0.0,
-        count: 0,
-        attempts: 0,
-        last_error: 1.0,
-    });
+    let mut lanes: [Lane<'_, '_>; LANES] = Default::default();
     let lanes = &mut lanes[..V::LANES];
     loop {
         // idle lanes take the next samples, at rest
         for (l, lane) in lanes.iter_mut().enumerate() {
             if lane.job.is_none() {
                 copy_lane(&mut x, &start, l);
-                clear_lane(&mut v, l);
+                v.as_flattened_mut().iter_mut().for_each(|v| v.set_lane(l, 0.0));
                 lane.h = 0.0;
                 if let Some(job) = take(queue, 1).first_mut() {
                     system.set_strike(l, forces, job.index);
@@ -102,17 +93,8 @@ pub fn forward<V: Vector<Wide = V>>(
                     let [to, from, ..] = &mut a;
                     copy_lane(to, from, l);
                     counters.force_evaluations += 1;
-                    *lane = Lane {
-                        job: Some(job),
-                        proposed: delta / 16.0,
-                        interval: 0,
-                        tau: 0.0,
-                        h: 0.0,
-                        parts: 0.0,
-                        count: 0,
-                        attempts: 0,
-                        last_error: 1.0,
-                    };
+                    let (job, proposed) = (Some(job), delta / 16.0);
+                    *lane = Lane { job, proposed, last_error: 1.0, ..Lane::default() };
                 }
             }
             if lane.job.is_some() {
@@ -244,12 +226,6 @@ pub fn forward<V: Vector<Wide = V>>(
                 lane.job = None;
             }
         }
-    }
-}
-
-fn clear_lane<V: Vector>(x: &mut [Unit<V>], lane: usize) {
-    for v in x.as_flattened_mut() {
-        v.set_lane(lane, 0.0);
     }
 }
 

@@ -150,10 +150,6 @@ struct Pilot<'a> {
 }
 
 impl Pilot<'_> {
-    fn channels(&self) -> usize {
-        3 * self.scene.sensors.len()
-    }
-
     /// Error of a plan in f32, if it is at most `requested`.
     fn rounded(
         &mut self,
@@ -165,8 +161,8 @@ impl Pilot<'_> {
         if candidate.highest > candidate.single(Accuracy(requested)) {
             return None;
         }
-        let found = self.run_plan(&Plan { precision: Precision::Single, ..plan.clone() });
-        Some(self.error(&found, reference)).filter(|error| SAFETY * error <= requested)
+        let plan = Plan { precision: Precision::Single, ..plan.clone() };
+        Some(self.error(&plan, reference)).filter(|error| SAFETY * error <= requested)
     }
 
     fn run(&mut self, candidate: &Candidate, steps: usize) -> Simulation {
@@ -179,15 +175,26 @@ impl Pilot<'_> {
         simulation
     }
 
-    /// Error against the reference solution. Infinite if additional samples fail, or if samples were repeated with finer steps,
-    /// which is expensive.
-    fn error(&self, simulation: &Simulation, reference: &Simulation) -> f64 {
+    /// Error of a plan against the reference solution. Infinite if additional samples fail, or if samples were repeated with
+    /// finer steps, which is expensive.
+    fn error(&mut self, plan: &Plan, reference: &Simulation) -> f64 {
+        let simulation = self.run_plan(plan);
         let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
         let halved = simulation.plan.steps.count() > 0 && simulation.counters.rejected > 0;
         if halved || simulation.outcomes.iter().zip(&reference.outcomes).any(fails) {
             return f64::INFINITY;
         }
-        distance(simulation, reference, self.channels())
+        self.distance(&simulation, reference)
+    }
+
+    /// `signal_error` over the samples that succeed in both simulations; infinite if there are none.
+    fn distance(&self, a: &Simulation, b: &Simulation) -> f64 {
+        let len = b.signals.len() / b.outcomes.len().max(1);
+        let well = |i: &usize| a.outcomes[*i] == Outcome::Ok && b.outcomes[*i] == Outcome::Ok;
+        let of = |s: &Simulation| -> Vec<f64> {
+            (0..b.outcomes.len()).filter(well).flat_map(|i| &s.signals[i * len..][..len]).copied().collect()
+        };
+        signal_error(&of(a), &of(b), 3 * self.scene.sensors.len())
     }
 
     /// The largest tolerance found for Tsit5 with at most the error `requested`, including the safety factor, and its error.
@@ -195,8 +202,7 @@ impl Pilot<'_> {
         let mut tolerance = Tolerance::from(Accuracy(requested)).relative;
         let mut good: Option<(f64, f64)> = None;
         for _ in 0..TRIES {
-            let found = self.run_plan(&Plan::tsit5(Tolerance::both(tolerance)));
-            let error = self.error(&found, reference);
+            let error = self.error(&Plan::tsit5(Tolerance::both(tolerance)), reference);
             let keeps = SAFETY * error <= requested;
             if keeps && good.is_none_or(|(t, _)| tolerance > t) {
                 good = Some((tolerance, error));
@@ -229,11 +235,8 @@ impl Pilot<'_> {
         while refined < REFINED {
             let fine = self.run(six, 2 * refined * start);
             // A sample repeated with finer steps may be identical in both runs; the difference does not measure its error.
-            let error = if coarse.counters.rejected > 0 {
-                f64::INFINITY
-            } else {
-                distance(&coarse, &fine, self.channels())
-            };
+            let error =
+                if coarse.counters.rejected > 0 { f64::INFINITY } else { self.distance(&coarse, &fine) };
             if error <= requested {
                 return Ok((fine, (refined * start, error)));
             }
@@ -272,10 +275,7 @@ impl Pilot<'_> {
         for _ in 0..TRIES {
             let error = match known {
                 Some((n, error)) if n == steps => error,
-                _ => {
-                    let found = self.run(candidate, steps);
-                    self.error(&found, reference)
-                }
+                _ => self.error(&candidate.plan(steps, String::new()), reference),
             };
             tried.push((steps, error));
             if error.is_infinite() {
@@ -310,16 +310,6 @@ impl Pilot<'_> {
             }
         })
     }
-}
-
-/// `signal_error` over the samples that succeed in both simulations; infinite if there are none.
-fn distance(a: &Simulation, b: &Simulation, channels: usize) -> f64 {
-    let len = b.signals.len() / b.outcomes.len().max(1);
-    let well = |i: &usize| a.outcomes[*i] == Outcome::Ok && b.outcomes[*i] == Outcome::Ok;
-    let of = |s: &Simulation| -> Vec<f64> {
-        (0..b.outcomes.len()).filter(well).flat_map(|i| &s.signals[i * len..][..len]).copied().collect()
-    };
-    signal_error(&of(a), &of(b), channels)
 }
 
 /// Relative error of signals (N, T, `channels`): the root mean square of ‖a − b‖/‖b‖ over the channels, so gyroscopes and

@@ -7,13 +7,15 @@ use metasense_worker::records::newtons;
 
 use super::{Described, Looked};
 use crate::measured::{AccelerationUnit, AngularVelocityUnit, Start};
-use crate::questions::check::{ChannelFinding, Explanation, RecordFinding};
+use crate::questions::check::{Explanation, RecordFinding};
 
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
     /// Checked without a finding.
     Ok,
+    /// Not checked: the records do not permit it.
+    NotChecked,
     /// May affect results.
     Warning,
     /// Makes results wrong.
@@ -23,7 +25,7 @@ pub enum Level {
 impl Level {
     /// Name of the level.
     pub fn name(self) -> &'static str {
-        ["ok", "warning", "fault"][self as usize]
+        ["ok", "not checked", "warning", "fault"][self as usize]
     }
 }
 
@@ -48,6 +50,8 @@ const BLOW: f64 = 8.0;
 const EARLY: f64 = 0.2;
 /// Least offset that is reported: in standard deviations of the noise, and relative to the signal's RMS.
 const OFFSET: [f64; 2] = [4.0, 0.1];
+/// Least offset of a force that is reported, relative to the peak.
+const RESTS: f64 = 0.02;
 /// Gravity (mm/s²); least offset that is attributed to it, relative to it.
 const GRAVITY: [f64; 2] = [9806.65, 0.5];
 /// Least mean correlation of the model with the records.
@@ -57,6 +61,8 @@ const LATE: [f64; 2] = [1.0, 0.6];
 /// Least reduction of Σ|ln gain| by which other units count as right, and largest |ln gain| that is then accepted.
 const UNIT: f64 = 1.4;
 const SCALE: f64 = 1.6;
+/// Least rise of the agreement for other units.
+const AGREES: f64 = 0.1;
 /// Largest accepted ratio of a channel's gain to the median gain of its kind.
 const OWN: f64 = 4.0;
 /// Largest accepted deviation of a time step, relative to the mean step.
@@ -73,7 +79,7 @@ struct Findings<'a> {
     looked: &'a [Looked],
 }
 
-/// All findings, in the order of the checks. A check without findings adds one of level `Ok`.
+/// All findings, in the order of the checks. A check without findings adds one of level `Ok` or `NotChecked`.
 pub(super) fn findings(
     described: &Described,
     channels: &[String],
@@ -86,7 +92,7 @@ pub(super) fn findings(
     of.blows();
     of.ranges();
     let units = found.map_or(1.0, |found| of.scale(found, read));
-    of.offsets(read, units);
+    let unknown = of.offsets(read, units);
     of.early();
     match found {
         Some(found) => of.model(found, read),
@@ -96,22 +102,48 @@ pub(super) fn findings(
         }
         None => {}
     }
+    let is_compared = |c: usize| found.is_some_and(|found| found.channels[c].is_compared());
+    let omitted = (0..channels.len()).filter(|c| !is_compared(*c)).map(|c| &*channels[c]);
+    let omitted = omitted.collect::<Vec<_>>();
+    let (compared, names) = (omitted.len() < channels.len(), omitted.join(", "));
+    let without = if omitted.is_empty() { String::new() } else { format!("without {names}") };
     for check in
         ["file", "blow", "range", "offset", "unit", "clock", "panel", "axis", "sensor", "channel", "model"]
     {
-        if !of.all.iter().any(|finding| finding.check == check) && found.is_some() {
-            let said = found.filter(|_| check == "model").map_or(String::new(), |found| {
+        if of.all.iter().any(|finding| finding.check == check) {
+            continue;
+        }
+        let unchecked = |place: &str, what: &str, remedy: &str| {
+            (Level::NotChecked, [place, what, remedy].map(str::to_owned))
+        };
+        let ok = |what: String| (Level::Ok, [String::new(), what, String::new()]);
+        let (level, texts) = match (check, found) {
+            ("file", _) => ok(String::new()),
+            _ if looked.is_empty() => unchecked("", "no record is readable", "correct the files"),
+            ("blow" | "range", _) => ok(String::new()),
+            ("offset", _) if unknown.is_empty() => ok(String::new()),
+            ("offset", _) => {
+                let what = format!("too few entries before the blows: {}", unknown.join(" and "));
+                unchecked("", &what, "record at least five readings at rest before each blow")
+            }
+            (_, Some(found)) if compared => {
                 let [_, after] = found.correlation;
-                match found.channels.iter().any(ChannelFinding::is_compared) {
-                    true => format!(
+                match check {
+                    "channel" => ok(without.clone()),
+                    "model" => ok(format!(
                         "mean correlation {after:.2} with a model of {} times the design's stiffness",
                         found.stiffness
-                    ),
-                    false => "no channel can be compared".into(),
+                    )),
+                    _ if after < MODEL => {
+                        let what = format!("mean correlation {after:.2} with the model");
+                        unchecked("", &what, "correct what the check of the model reports, then repeat")
+                    }
+                    _ => ok(without.clone()),
                 }
-            });
-            of.add(check, Level::Ok, ["", &said, ""]);
-        }
+            }
+            _ => unchecked(&names, "not compared with the model", "correct the other findings first"),
+        };
+        of.add(check, level, texts.each_ref().map(String::as_str));
     }
     of.all
 }
@@ -163,7 +195,10 @@ impl Findings<'_> {
         for i in 0..self.looked.len() {
             let of = &self.looked[i].instruments;
             let (peak, blows) = (of.peak, of.blows);
-            if let Some(noise) = of.force_noise.filter(|noise| peak < BLOW * noise) {
+            if peak == 0.0 {
+                let remedy = "check recorded.force, or leave the record out";
+                self.fault("blow", [&self.place(i), "the force is 0 throughout", remedy]);
+            } else if let Some(noise) = of.force_noise.filter(|noise| peak < BLOW * noise) {
                 let found = format!(
                     "largest force {peak:.3} N, noise {noise:.3} N: the record contains no clear blow"
                 );
@@ -237,8 +272,7 @@ impl Findings<'_> {
                 }
             }
         }
-        let (_, units, factors) = best;
-        let after = [0, 1].map(|k| gains[k].map(|g| g * factors[k]));
+        let (_, units, mut factors) = best;
         // Lin's concordance: the correlation, reduced by a difference in amplitude.
         let agreement = |k: usize, by: f64| {
             let of = found.channels.iter().enumerate().filter(|(c, of)| kind(*c) == k && of.is_compared());
@@ -251,24 +285,28 @@ impl Findings<'_> {
             all.iter().sum::<f64>() / all.len().max(1) as f64
         };
         if let Some((f, a, t)) = units {
+            let mut explains = false;
             let mut say = |changed: bool, key: &str, value: String, kinds: &[usize]| {
-                if !changed {
-                    return;
-                }
                 let mean = |by: [f64; 2]| {
-                    kinds.iter().map(|k| agreement(*k, by[*k])).sum::<f64>() / kinds.len() as f64
+                    let known = kinds.iter().filter(|k| gains[**k].is_some()).map(|k| agreement(*k, by[*k]));
+                    let known: Vec<f64> = known.collect();
+                    known.iter().sum::<f64>() / known.len().max(1) as f64
                 };
-                let text = format!(
-                    "{key} = {value} raises the agreement from {:.2} to {:.2}",
-                    mean([1.0; 2]),
-                    mean(factors)
-                );
-                self.fault("unit", ["", &text, &format!("set {key} = {value}")]);
+                let [before, after] = [[1.0; 2], factors].map(mean);
+                if changed && after > before + AGREES {
+                    let text = format!("{key} = {value} raises the agreement from {before:.2} to {after:.2}");
+                    self.fault("unit", ["", &text, &format!("set {key} = {value}")]);
+                    explains = true;
+                }
             };
             say(f != force, "recorded.force_unit", as_written(&f), &[0, 1]);
             say(a != acceleration, "signals.acceleration_unit", as_written(&a), &[0]);
             say(t != turning, "signals.angular_velocity_unit", as_written(&t), &[1]);
+            if !explains {
+                factors = [1.0; 2];
+            }
         }
+        let after = [0, 1].map(|k| gains[k].map(|g| g * factors[k]));
         for (k, what) in ["accelerations", "rotation rates"].into_iter().enumerate() {
             if let Some(g) = after[k].filter(|g| g.ln().abs() > SCALE && found.correlation[1] > MODEL) {
                 let text = format!("{what} are {} times those of the model", significant(g));
@@ -293,8 +331,31 @@ impl Findings<'_> {
         factors[0]
     }
 
-    /// Reports offsets of channels before the blows.
-    fn offsets(&mut self, read: &[usize], units: f64) {
+    /// Reports offsets of forces and channels before the blows. Returns those that too few entries leave unknown.
+    fn offsets(&mut self, read: &[usize], units: f64) -> Vec<&'static str> {
+        let mut unknown = Vec::new();
+        let of = self.looked.iter().map(|looked| &looked.instruments);
+        let rests: Vec<(&Vec<[f64; 2]>, f64)> =
+            of.filter_map(|of| of.rest.as_ref().map(|rest| (rest, of.peak))).collect();
+        let forces = rests.iter().map(|(rest, _)| rest.len()).min().unwrap_or(0);
+        if !self.described.spec.recorded.remove_offset {
+            unknown.extend((forces == 0).then_some("the force"));
+            for k in 0..forces {
+                let all: Vec<[f64; 3]> =
+                    rests.iter().map(|(rest, peak)| [rest[k][0], rest[k][1], *peak]).collect();
+                let middle = |i: usize| median(&all.iter().map(|of| of[i]).collect::<Vec<_>>());
+                let [level, noise, peak] = [0, 1, 2].map(middle);
+                if level.abs() > (OFFSET[0] * noise).max(RESTS * peak) {
+                    let found = format!(
+                        "reads {} N before the blows, {:.0} % of the peak",
+                        significant(level),
+                        100.0 * level.abs() / peak
+                    );
+                    let remedy = "set recorded.remove_offset = true";
+                    self.fault("offset", [&format!("force {k}"), &found, remedy]);
+                }
+            }
+        }
         let quiet = |c: usize| -> Vec<[f64; 3]> {
             let of = self.looked.iter().map(|looked| &looked.instruments);
             of.filter_map(|of| of.quiet.as_ref().map(|quiet| [quiet[c][0], quiet[c][1], of.size[c]]))
@@ -303,7 +364,8 @@ impl Findings<'_> {
         for c in 0..self.channels.len() {
             let all = quiet(c);
             if all.len() * 2 <= self.looked.len() {
-                continue;
+                unknown.push("the signals");
+                break;
             }
             let middle = |i: usize| median(&all.iter().map(|of| of[i]).collect::<Vec<_>>());
             let [offset, noise, size] = [0, 1, 2].map(middle);
@@ -324,6 +386,7 @@ impl Findings<'_> {
             );
             self.fault("offset", [&self.channels[c], &found, "set recorded.remove_offset = true"]);
         }
+        unknown
     }
 
     /// Reports signals that move before the force.
@@ -424,7 +487,7 @@ impl Findings<'_> {
         let mut lags: Vec<f64> = counted.iter().map(|i| found.records[*i].lag).collect();
         lags.sort_by(f64::total_cmp);
         let Some(&middle) = lags.get(lags.len() / 2) else { return };
-        let dt = self.looked[0].record.signals.dt;
+        let dt = found.dt;
         let apart = |i: &&usize| (found.records[**i].lag - middle).abs() > (LATE[1] * dt).max(2.0 * declared);
         let off: Vec<usize> = counted.iter().filter(apart).copied().collect();
         let deviation = "or set signals.start_deviation, with which `metasense lab identify` fits them";

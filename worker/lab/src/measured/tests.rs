@@ -297,7 +297,7 @@ fn each_file_has_its_unit_of_time() {
             .collect::<String>()
     };
     let folder = Folder::new(&[
-        ("f.csv", ("t,f\n".to_owned() + &lines(0.001, ",0.5")).as_bytes()),
+        ("f.csv", ("t,f\n-0.001,0\n".to_owned() + &lines(0.001, ",0.5")).as_bytes()),
         ("s.csv", ("t,x,y,w\n".to_owned() + &ramp(1.0)).as_bytes()),
         ("slow.csv", ("t,x,y,w\n".to_owned() + &ramp(0.02)).as_bytes()),
         ("seconds.csv", ("t,x,y,w\n".to_owned() + &ramp(0.001)).as_bytes()),

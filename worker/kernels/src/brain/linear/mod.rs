@@ -12,8 +12,7 @@ mod normal;
 mod solve;
 
 pub use normal::Normal;
-pub use solve::factor;
-pub use solve::{Fit, Order, Singular};
+pub use solve::{Fit, Order, Singular, factor};
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};

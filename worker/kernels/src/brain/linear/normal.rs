@@ -170,14 +170,9 @@ pub(super) fn series(values: &[f64], width: usize, factors: &[f64]) -> Vec<Vec<f
 fn products(x: &[f64], y: &[f64], instants: usize) -> Vec<f64> {
     let mut products = vec![0.0; instants * instants];
     let samples = x.len() / instants;
-    matmul(
-        matrix_mut(&mut products, instants, instants),
-        Accum::Replace,
-        matrix(y, instants, samples),
-        matrix(x, instants, samples).transpose(),
-        1.0,
-        Par::Seq,
-    );
+    let [x, y] = [x, y].map(|series| matrix(series, instants, samples));
+    let to = matrix_mut(&mut products, instants, instants);
+    matmul(to, Accum::Replace, y, x.transpose(), 1.0, Par::Seq);
     products
 }
 

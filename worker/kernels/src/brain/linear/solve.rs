@@ -6,6 +6,7 @@
 use super::normal::{Normal, by_group, correlation, series};
 use super::{BLOCK, Lags, Linear, Sizes, add_symmetric, matrix, matrix_mut};
 use crate::Pool;
+use crate::brain::solve::dot;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
@@ -81,12 +82,8 @@ impl Fit {
         }
         factor(&pool, &mut lower, unknowns)?;
         pool.heartbeat().beat();
-        let outputs = sizes.outputs;
-        solve_lower_triangular_in_place(
-            matrix(&lower, unknowns, unknowns),
-            matrix_mut(&mut q, unknowns, outputs),
-            Par::Seq,
-        );
+        let right = matrix_mut(&mut q, unknowns, sizes.outputs);
+        solve_lower_triangular_in_place(matrix(&lower, unknowns, unknowns), right, Par::Seq);
         if q.iter().all(|x| x.is_finite()) {
             Ok(Self { sizes, lags, groups, unknowns, lower, half: q, mean, mean_force, weight })
         } else {
@@ -130,11 +127,8 @@ impl Fit {
         for (z, b) in z.chunks_exact_mut(unknowns).zip(&gradient.b) {
             z.iter_mut().zip(&self.mean).for_each(|(z, mean)| *z = 0.5 * (*z - mean * b));
         }
-        solve_lower_triangular_in_place(
-            matrix(&self.lower, unknowns, unknowns),
-            matrix_mut(&mut z, unknowns, self.sizes.outputs),
-            Par::Seq,
-        );
+        let right = matrix_mut(&mut z, unknowns, self.sizes.outputs);
+        solve_lower_triangular_in_place(matrix(&self.lower, unknowns, unknowns), right, Par::Seq);
         self.back(unknowns, &mut z);
         let means = z.chunks_exact(unknowns).map(|z| dot(z, &self.mean));
         let b = gradient.b.iter().zip(means).map(|(b, seen)| 0.5 * b / self.weight - seen).collect();
@@ -143,12 +137,9 @@ impl Fit {
 
     /// Applies L⁻ᵀ of the leading block.
     fn back(&self, unknowns: usize, right: &mut [f64]) {
-        let lower = matrix(&self.lower, self.unknowns, self.unknowns);
-        solve_upper_triangular_in_place(
-            lower.submatrix(0, 0, unknowns, unknowns).transpose(),
-            matrix_mut(right, unknowns, self.sizes.outputs),
-            Par::Seq,
-        );
+        let lower = matrix(&self.lower, self.unknowns, self.unknowns).submatrix(0, 0, unknowns, unknowns);
+        let right = matrix_mut(right, unknowns, self.sizes.outputs);
+        solve_upper_triangular_in_place(lower.transpose(), right, Par::Seq);
     }
 
     /// Weights of all lags, in ascending order, from the weights of the groups.
@@ -175,11 +166,8 @@ impl Linear {
     pub fn weights_vjp(&self, x: &[f64], cotangent: &[f64]) -> Self {
         let Sizes { instants, channels, outputs } = self.sizes;
         let samples = self.samples(x);
-        assert_eq!(
-            cotangent.len(),
-            samples * instants * outputs,
-            "cotangent does not match {samples} samples"
-        );
+        let len = samples * instants * outputs;
+        assert_eq!(cotangent.len(), len, "cotangent does not match {samples} samples");
         let ones = vec![1.0; samples];
         let [x, by_force] = [(x, channels), (cotangent, outputs)].map(|(of, width)| series(of, width, &ones));
         let mut w = vec![0.0; self.w.len()];
@@ -192,10 +180,6 @@ impl Linear {
         let b = (0..outputs).map(|k| cotangent[k..].iter().step_by(outputs).sum()).collect();
         Self { w, b, ..*self }
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// Overwrites a symmetric matrix (n, n), given by its lower triangle, with its Cholesky factor. Processes blocks of columns, each

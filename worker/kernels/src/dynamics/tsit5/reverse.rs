@@ -6,7 +6,7 @@
 use super::super::jobs::Backward;
 use super::super::loads::FreeForces;
 use super::super::readings::{load_lanes, store_lane};
-use super::super::system::{System, Unit, add_into};
+use super::super::system::{System, Unit, add_into, damping_cotangent};
 use super::super::{Counters, Forces};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::steps;
@@ -112,7 +112,7 @@ pub fn reverse<V: Vector<Wide = V>>(
             add_into(&mut bar_x, &curved[0]);
             add_into(&mut bar_v, &weights[0]);
             if forces_asked {
-                push_vjp(system, system.weights(), one, &[last; LANES], lanes, (row, &mut pushed));
+                push_vjp(system, &system.w, one, &[last; LANES], lanes, (row, &mut pushed));
                 for k in 0..forces.panels {
                     let Some(felt) = system.base_force_vjp(k, &w) else { continue };
                     for (l, &s) in lanes.iter().enumerate() {
@@ -181,17 +181,9 @@ pub fn reverse<V: Vector<Wide = V>>(
                     loads.load(l, forces, sweeps[s].history, step.kinks[l]);
                 }
                 for i in (0..6).rev() {
-                    let later = (&curved, &weights);
-                    stage_vjp(
-                        i,
-                        step.h,
-                        &within,
-                        (&bar_x, &bar_v),
-                        later,
-                        system.force_cotangent(),
-                        &step.a[i],
-                        &mut w,
-                    );
+                    let (bar, later) = ((&bar_x[..], &bar_v[..]), (&curved, &weights));
+                    let by = system.force_cotangent();
+                    stage_vjp(i, step.h, &within, bar, later, by, &step.a[i], &mut w);
                     std::mem::swap(&mut w, &mut weights[i]);
                     system.product(&step.x[i], &weights[i], &mut curved[i]);
                     if system.forces_follow_design() {
@@ -208,7 +200,7 @@ pub fn reverse<V: Vector<Wide = V>>(
                         } else {
                             stage(i, step.h, &within, (&step.x[0], &step.v), &step.a, (&mut xs, &mut vs));
                         }
-                        system.add_damping_cotangent(&weights[i], &vs);
+                        damping_cotangent(&mut system.cotangent.damping, &weights[i], &vs);
                     }
                 }
                 step_vjp(step.h, &within, (&mut bar_x, &mut bar_v), (&curved, &weights), system.damping);

@@ -1,6 +1,7 @@
 //! Properties of records without a model: peaks, noise, repeated blows, clipped readings.
 
-use super::Record;
+use super::{ONSET, Record};
+use metasense_numerics::student::median;
 
 /// Instrument properties of one record.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -11,6 +12,8 @@ pub struct Instruments {
     pub impulse: f64,
     /// Number of blows on the panel with most.
     pub blows: usize,
+    /// Level and standard deviation of each force before the first moves (N); `None` if one moves from the start.
+    pub rest: Option<Vec<[f64; 2]>>,
     /// Standard deviation of the force before the blow (N); `None` with too few entries.
     pub force_noise: Option<f64>,
     /// Mean and standard deviation of each channel before the blow; `None` with too few readings.
@@ -24,9 +27,11 @@ const FEWEST: usize = 5;
 /// Fraction of the peak above which a force is a blow, and below which it must fall between blows.
 const BLOW: f64 = 0.2;
 const BETWEEN: f64 = 0.08;
-/// Least number of entries equal to an extreme that indicate clipping, and least distance of the extreme from the median (smallest steps).
+/// Least number of entries equal to an extreme that indicate clipping, and least distance of the extreme from the level at the beginning:
+/// in smallest steps, and relative to the other extreme's.
 const CLIPPED: usize = 3;
 const STEPS: f64 = 50.0;
+const FAR: f64 = 0.1;
 
 impl Instruments {
     /// Properties of a record.
@@ -43,6 +48,7 @@ impl Instruments {
             peak: histories.iter().map(largest).fold(0.0, f64::max),
             impulse: record.force.dt * histories.iter().flatten().sum::<f64>().abs(),
             blows: histories.iter().map(|f| blows(f)).max().unwrap_or(0),
+            rest: rest(histories),
             force_noise,
             quiet: (before >= FEWEST).then(|| signals.iter().map(|y| statistics(&y[..before])).collect()),
             size: signals.iter().map(|y| rms(&y[before.min(y.len().saturating_sub(1))..])).collect(),
@@ -59,6 +65,18 @@ fn statistics(values: &[f64]) -> [f64; 2] {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let off: Vec<f64> = values.iter().map(|x| x - mean).collect();
     [mean, rms(&off)]
+}
+
+/// Level and standard deviation of each force before the first moves.
+fn rest(forces: &[Vec<f64>]) -> Option<Vec<[f64; 2]>> {
+    let levels: Vec<f64> =
+        forces.iter().map(|f| Some(statistics(f.get(..FEWEST)?)[0])).collect::<Option<_>>()?;
+    let moved =
+        |n: usize| forces.iter().zip(&levels).map(|(f, level)| (f[n] - level).abs()).fold(0.0, f64::max);
+    let entries = forces.first()?.len();
+    let most = (0..entries).map(moved).fold(0.0, f64::max);
+    let still = (0..entries).take_while(|n| moved(*n) <= ONSET * most).count();
+    (still >= FEWEST).then(|| forces.iter().map(|f| statistics(&f[..still])).collect())
 }
 
 /// Number of blows in a history. A new blow requires that the force has fallen first.
@@ -79,11 +97,14 @@ pub fn clipped(histories: &[&[f64]]) -> Vec<usize> {
     let mut all: Vec<f64> = histories.iter().flat_map(|h| h.iter().copied()).collect();
     all.sort_by(f64::total_cmp);
     let (low, high) = (all.first().copied().unwrap_or(0.0), all.last().copied().unwrap_or(0.0));
+    let first: Vec<f64> = histories.iter().filter_map(|h| h.first().copied()).collect();
+    let level = if first.is_empty() { 0.0 } else { median(&first) };
+    let least = FAR * (low - level).abs().max((high - level).abs());
     let step = all.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
     let ends = [low, high].map(|end| {
         let near = |x: &f64| (x - end).abs() <= 1e-9 * end.abs();
-        // Values of a quiet channel also repeat, but near the median.
-        let far = (end - all[all.len() / 2]).abs() > STEPS * step;
+        // Values of a quiet channel also repeat, but near its level at the beginning.
+        let far = (end - level).abs() > least.max(STEPS * step);
         let counts: Vec<usize> = histories.iter().map(|h| h.iter().filter(|x| near(x)).count()).collect();
         let is_end = far && counts.iter().sum::<usize>() >= CLIPPED;
         if is_end { counts } else { vec![0; histories.len()] }

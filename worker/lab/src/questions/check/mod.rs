@@ -13,11 +13,13 @@ mod spectra;
 mod sums;
 
 pub use instruments::{Instruments, clipped};
-pub use search::{ChannelFinding, Explanation, RecordFinding, compare};
+#[cfg(test)]
+pub use search::ChannelFinding;
+pub use search::{Explanation, RecordFinding, compare};
 pub use spectra::{Spectra, spectra};
 
 use metasense_numerics::dynamics::{Accuracy, Forces, Parameters, Scene, Solver, planned, run};
-use metasense_numerics::stimuli::anti_aliased_force;
+use metasense_numerics::stimuli::{REACH, anti_aliased, anti_aliased_force};
 use metasense_numerics::trial::Disturbance;
 
 /// Histories on a uniform clock.
@@ -66,6 +68,20 @@ impl History {
             (0..history.len()).map(of).collect()
         });
         Self { values: values.collect(), ..*self }
+    }
+
+    /// The history after a low-pass, with the greatest whole multiple of its interval that is at most `interval`.
+    pub fn thinned(&self, interval: f64) -> Self {
+        let (every, last) = ((interval / self.dt) as usize, self.entries().saturating_sub(1));
+        if every < 2 || every > last {
+            return self.clone();
+        }
+        let (count, reach) = (last / every, (REACH as usize + 1) * every);
+        let values = self.values.iter().map(|history| {
+            let held = [vec![history[0]; reach], history.clone(), vec![history[last]; reach]].concat();
+            anti_aliased(&held, -(reach as f64), 1.0, (count * every) as f64, count)
+        });
+        Self { values: values.collect(), dt: every as f64 * self.dt, ..*self }
     }
 
     /// Linear interpolation of a history at a time; 0 outside it.

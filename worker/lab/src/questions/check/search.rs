@@ -85,6 +85,8 @@ pub struct Explanation {
     pub channels: Vec<ChannelFinding>,
     /// Comparison per record.
     pub records: Vec<RecordFinding>,
+    /// Longest interval between compared readings (s).
+    pub dt: f64,
     /// Simulated signals per record, with the explanation.
     pub simulated: Vec<History>,
 }
@@ -268,7 +270,7 @@ impl<'a> RecordSearch<'a> {
         self.orders.iter().position(alike).unwrap_or(0)
     }
 
-    /// Sums over a record's window; 0 for channels that are not compared.
+    /// Sums over a record's window; 0 for channels that are not compared. `None` without a force or enough readings.
     fn moments(&self, record: usize, simulated: &History, lag: f64) -> Option<ProductSums> {
         let (y, [from, to]) = (&self.smooth[record], self.windows[record]);
         let first = ((from - lag - y.start) / y.dt).ceil().max(0.0) as usize;
@@ -277,12 +279,12 @@ impl<'a> RecordSearch<'a> {
             return None;
         }
         let readings = first..(last as usize + 1).min(y.entries());
-        if (readings.len() as f64) < MIN_WINDOW_SHARE * (to - from) / y.dt {
+        let peak = self.records[record].force.values.iter().flatten().fold(0.0f64, |m, f| m.max(f.abs()));
+        if (readings.len() as f64) < MIN_WINDOW_SHARE * (to - from) / y.dt || peak == 0.0 {
             return None;
         }
         let (rows, columns) = (y.values.len(), simulated.values.len());
         let mut found = ProductSums::zeros(rows, columns);
-        let peak = self.records[record].force.values.iter().flatten().fold(0.0f64, |m, f| m.max(f.abs()));
         let weight = peak.max(f64::MIN_POSITIVE).powi(-2);
         let mut s = vec![0.0; columns];
         for n in readings {
@@ -469,6 +471,7 @@ impl<'a> RecordSearch<'a> {
             channels,
             records,
             simulated: (0..self.records.len()).map(of).collect(),
+            dt: self.dt,
             panels: state.panels,
             lags: state.lags,
             source: state.source,
