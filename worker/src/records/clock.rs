@@ -10,10 +10,12 @@ const UNEVEN: f64 = 0.02;
 const DRIFT: f64 = 0.1;
 /// Largest number of entries of a resampled record.
 const LONGEST: usize = 10_000_000;
-/// A regular clock has at least this share of steps within this distance of a whole multiple of the median step; entries may be
-/// missing.
+/// A regular clock has at least this share of steps within this distance of a whole multiple of the median step, up to the largest
+/// multiple; entries may be missing.
 const REGULAR: [f64; 2] = [0.9, 0.1];
-/// Least length of a gap: in medians of all steps of a regular clock; of the neighbouring steps of another clock.
+const LARGEST_MULTIPLE: f64 = 20.0;
+/// Least length of a gap: in medians of all steps of a regular clock; of another clock in medians of the neighbouring steps, or
+/// means of all, if these are longer: entries may come in bursts.
 const GAP: [f64; 2] = [1.5, 6.0];
 /// Neighbours on either side for the local median step of a clock that is not regular.
 const AROUND: usize = 8;
@@ -91,10 +93,10 @@ pub(super) fn with_clock(
 
 /// The first step with missing entries, and the normal step there.
 fn gap(steps: &[f64]) -> Option<(usize, f64)> {
-    let usual = median(steps);
+    let (usual, mean) = (median(steps), steps.iter().sum::<f64>() / steps.len() as f64);
     let is_whole = |step: &&f64| {
         let medians = *step / usual;
-        medians.round() >= 1.0 && (medians - medians.round()).abs() <= REGULAR[1]
+        (1.0..=LARGEST_MULTIPLE).contains(&medians.round()) && (medians - medians.round()).abs() <= REGULAR[1]
     };
     let regular = steps.iter().filter(is_whole).count() as f64 >= REGULAR[0] * steps.len() as f64;
     let missing = |n: usize| {
@@ -103,7 +105,7 @@ fn gap(steps: &[f64]) -> Option<(usize, f64)> {
             let late = beside.into_iter().flatten().any(|other| steps[n] + other <= LATE * usual);
             return (steps[n] > GAP[0] * usual && !late).then_some((n, usual));
         }
-        let around = median(&steps[n.saturating_sub(AROUND)..steps.len().min(n + AROUND + 1)]);
+        let around = median(&steps[n.saturating_sub(AROUND)..steps.len().min(n + AROUND + 1)]).max(mean);
         (steps[n] > GAP[1] * around).then_some((n, around))
     };
     (0..steps.len()).find_map(missing)
