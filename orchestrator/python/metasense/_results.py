@@ -118,8 +118,10 @@ def run(
     meanwhile, stops the run in order; a second one stops it at once. If this process is killed, its run stops in order, too.
     """
     words = changes(overrides)
-    options = flags({"parent": os.getpid(), "db": db, "workers": workers, "threads": threads})
-    command = [fspath(program()), "run", fspath(spec), *words, *options]
+    command: list[str] = [fspath(program()), "run", fspath(spec), *words, "--parent", str(os.getpid())]
+    for name, value in [("--db", db), ("--workers", workers), ("--threads", threads)]:
+        if value is not None:
+            command += [name, fspath(value) if isinstance(value, PathLike) else str(value)]
     bar = Bar(Path(db if db is not None else _metasense.default_database(spec, words))) if progress and is_watched() else None
     code, _, said = conducted(command, lines=progress and bar is None, bar=bar)
     if code not in (0, 1):
