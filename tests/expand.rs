@@ -220,7 +220,7 @@ fn committed_specs_keep_their_hashes() {
     authors-fig2-paper 5b4c0542cdd0e27a
     authors-fig3 e9d4d49d13078d1a
     authors-fig4 1a71aa5580a67a94
-    authors-fig5 da7bdf0a06c4ee29
+    authors-fig5 e9ecf93bf79ecb14
     blows-map 1eef528a8e4a55e8
     brains-two-core 5eb82c6f08db37b1
     design-two-core 627aa031480f4f0a

@@ -105,6 +105,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("downhill", claims::downhill),
     ("authors", authors::gains),
     ("authors casts", authors::casts),
+    ("authors discs", authors::discs),
     ("tasks", tasks::tasks),
     ("tasks transfer", tasks::transfer),
     ("tasks decoded", tasks::decoded),

@@ -1,5 +1,8 @@
 //! The table of gains in the scenes of the paper's authors.
 
+use std::collections::BTreeSet;
+
+use super::map::slopes_over;
 use super::rows::{Row, geometric, number, of, rows, short, with_interval};
 use super::table;
 
@@ -108,19 +111,63 @@ pub fn casts() -> String {
     table(&columns, settings.map(|(noise, decoder)| cells(noise, decoder)))
 }
 
-/// Whether the trained body with two sensors has less held-out error than the initial body with six: geometric means over
-/// placements, with and without noise.
-pub fn two_against_six() -> &'static str {
+/// Whether the trained body with two sensors has less held-out error than the initial body with six: with a linear decoder, by
+/// geometric means over placements with and without noise; with the paper's network, the ratio and its interval over placements.
+pub fn two_against_six() -> [String; 2] {
     let rows = rows("authors/trials.csv");
-    let sum = |scene: &str, noise: &str, error: &str| -> f64 {
-        of(&rows, &[("scene", scene), ("noise", noise)]).map(|row| number(row, error).ln()).sum()
+    let logs = |scene: &str, decoder: &str, noise: &str, error: &str| -> Vec<f64> {
+        let own = |row: &&Row| row["scene"] == scene && row["decoder"] == decoder && row["noise"] == noise;
+        rows.iter().filter(own).map(|row| number(row, error).ln()).collect()
     };
-    let less = |noise: &&str| {
-        sum("K = 4, M = 2", noise, "holdout_trained") < sum("K = 4, M = 6", noise, "holdout_initial")
+    let ratios = |decoder: &str, noise: &str| -> Vec<f64> {
+        let six = logs("K = 4, M = 6", decoder, noise, "holdout_initial");
+        let two = logs("K = 4, M = 2", decoder, noise, "holdout_trained");
+        six.iter().zip(two).map(|(six, two)| six - two).collect()
     };
-    match ["0", "0.03"].into_iter().filter(less).count() {
+    let less = |noise: &&str| ratios("linear", noise).iter().sum::<f64>() > 0.0;
+    let linear = match ["0", "0.03"].into_iter().filter(less).count() {
         2 => "beat",
         1 => "do not always beat",
         _ => "do not beat",
-    }
+    };
+    [linear.to_owned(), with_interval(&ratios("the paper's network", "0"), f64::exp)]
+}
+
+/// The discs of each size, one seed: held-out errors by noise, and the slope of their logarithms on that of the number of units,
+/// if there are five sizes.
+pub fn discs() -> String {
+    let rows = rows("authors/disc.csv");
+    let (units, noises) = (|row: &Row| row["units"].parse::<u32>().unwrap(), ["0", "0.03"]);
+    let sizes: BTreeSet<u32> = rows.iter().map(units).collect();
+    let line = |head: String, cell: &dyn Fn(&[&Row]) -> String, size: Option<u32>| -> Vec<String> {
+        let own = |noise: &str| -> Vec<&Row> {
+            let is_own = |row: &&Row| row["noise"] == noise && size.is_none_or(|size| units(row) == size);
+            rows.iter().filter(is_own).collect()
+        };
+        std::iter::once(head).chain(noises.iter().map(|noise| cell(&own(noise)))).collect()
+    };
+    let by_size = sizes.iter().map(|size| {
+        let cell = |rows: &[&Row]| match rows {
+            [row] => {
+                let [before, after] = ["holdout_initial", "holdout_trained"].map(|name| number(row, name));
+                let [before, after, gain] = [before, after, before / after].map(|x| short(&x.to_string()));
+                format!("{before} → {after} %, {gain}")
+            }
+            _ => "–".to_owned(),
+        };
+        line(size.to_string(), &cell, Some(*size))
+    });
+    let slopes = ["initial", "trained"].map(|body| {
+        let cell = |rows: &[&Row]| {
+            if rows.len() < 5 {
+                return "–".to_owned();
+            }
+            let sizes: Vec<&str> = rows.iter().map(|row| &*row["units"]).collect();
+            let log = |row: &&Row| vec![number(row, &format!("holdout_{body}")).ln()];
+            short(&slopes_over(&sizes, &rows.iter().map(log).collect::<Vec<_>>())[0].to_string())
+                .replace('-', "−")
+        };
+        line(format!("slope, {body} body"), &cell, None)
+    });
+    table(&["units", "no noise", "3 % noise"], by_size.chain(slopes))
 }

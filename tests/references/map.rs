@@ -231,8 +231,9 @@ pub fn discs() -> String {
     let columns = ["5", "8", "12"];
     let ties = ["[6,6]", "[3,3]"];
     let of_kind = |columns, tie| [("columns", columns), ("tie", tie)];
-    let slopes = [INITIAL, TRAINED]
-        .map(|column| slopes_over(columns, columns.map(|columns| logs(&all, &of_kind(columns, ""), column))));
+    let slopes = [INITIAL, TRAINED].map(|column| {
+        slopes_over(&columns, &columns.map(|columns| logs(&all, &of_kind(columns, ""), column)))
+    });
     let untied = logs(&all, &of_kind("12", ""), TRAINED);
     let tied = ties.map(|tie| less(logs(&all, &of_kind("12", tie), TRAINED), &untied));
     let plain: fn(f64) -> f64 = |x| x;
@@ -299,11 +300,11 @@ fn logs(rows: &[Row], wanted: &[(&str, &str)], column: &str) -> Vec<f64> {
 }
 
 /// Least-squares slope on ln(size) of logarithms by size and seed; one slope per seed.
-fn slopes_over<const N: usize>(sizes: [&str; N], logs: [Vec<f64>; N]) -> Vec<f64> {
-    let x = sizes.map(|size| size.parse::<f64>().unwrap().ln());
-    let centred = x.map(|value| value - mean(&x).unwrap());
+pub(super) fn slopes_over(sizes: &[&str], logs: &[Vec<f64>]) -> Vec<f64> {
+    let x: Vec<f64> = sizes.iter().map(|size| size.parse::<f64>().unwrap().ln()).collect();
+    let centred: Vec<f64> = x.iter().map(|value| value - mean(&x).unwrap()).collect();
     let power: f64 = centred.iter().map(|x| x * x).sum();
-    let slope = |seed: usize| centred.iter().zip(&logs).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
+    let slope = |seed: usize| centred.iter().zip(logs).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
     (0..logs[0].len()).map(slope).collect()
 }
 
@@ -429,8 +430,9 @@ fn sizes_of(file: &str) -> String {
         ["finer", INITIAL, "90 mm, smaller units, initial"],
         ["finer", TRAINED, "90 mm, smaller units, trained"],
     ];
-    let slopes = lines
-        .map(|[way, column, _]| slopes_over(units, units.map(|units| logs(&all, &kind(way, units), column))));
+    let slopes = lines.map(|[way, column, _]| {
+        slopes_over(&units, &units.map(|units| logs(&all, &kind(way, units), column)))
+    });
     let said = rated(&slopes, |x| x, ["fails", "holds"]);
     let line = |([way, column, words], said): ([&'static str; 3], String)| {
         let error = |units| geometric(of(&all, &kind(way, units)).map(|row| number(row, column)));
