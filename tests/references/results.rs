@@ -82,7 +82,7 @@ pub fn findings() -> String {
          - **Of {} claims of the paper, {} hold with every decoder that we tried, {} with some or in part.** {} fails; the others show no \
          effect or stay open. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
          [our scenes](results/DEVIATIONS.md)). In the scene that its authors published, two sensors on a trained body {against} six on an initial \
-         one with a linear decoder; with the paper's network their errors have the ratio {network} ([details](results/README.md#the-authors-own-scene)). With one channel per force, a linear decoder reaches 90 % of the possible reduction of the error: six forces \
+         one with a linear decoder. With the paper's network the six have {network} times the error of the two ([details](results/README.md#the-authors-own-scene)). With one channel per force, a linear decoder reaches 90 % of the possible reduction of the error: six forces \
          need {with} sensors, {without} without gyroscopes ([details](results/README.md#number-of-sensors-for-k-forces)).",
         spread(casts_row("initial", "casts", "")),
         spread(casts_row("nominal", "casts", "")),

@@ -242,10 +242,11 @@ pub fn check_form(
         ("separator", separator.map(|separator| as_written(&separator))),
         ("decimal", decimal.map(|decimal| as_written(&decimal))),
     ];
-    let read = files.iter().any(|file| files::ending(file) == "csv");
+    if files.iter().any(|file| files::ending(file) == "csv") {
+        return Ok(());
+    }
     let remedy = format!("has no effect: none of {table}.files is a CSV");
-    let mut unread = keys.into_iter().filter(|_| !read);
-    unread.try_for_each(|(key, given)| absent(&format!("{table}.{key}"), given, &remedy))
+    keys.into_iter().try_for_each(|(key, given)| absent(&format!("{table}.{key}"), given, &remedy))
 }
 
 /// Adds the record's number to an error message if the file contains several.

@@ -52,6 +52,14 @@ pub fn brief(value: &Value) -> String {
     }
 }
 
+/// The cell for a value of a spec: lists and tables as `text` writes them.
+pub fn of_value(value: &Value, text: fn(&Value) -> String) -> Value {
+    match value {
+        Value::Array(_) | Value::Object(_) => text(value).into(),
+        scalar => scalar.clone(),
+    }
+}
+
 /// The cell as JSON that reads back as the same value: ±∞ as `9e999` and `-9e999`, as SQLite writes them.
 pub fn json(cell: &Value) -> String {
     match infinite(cell) {

@@ -4,16 +4,12 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use crate::cell::{brief, plain};
+use crate::cell::{brief, of_value, plain};
 
 /// Values of a trial's spec at the given keys: lists and tables as `text` writes them, missing keys as null.
 pub fn values_at(spec: &Value, keys: &BTreeSet<&str>, text: fn(&Value) -> String) -> Vec<Value> {
-    let value = |key: &&str| match spec.pointer(&format!("/{}", key.replace('.', "/"))) {
-        None => Value::Null,
-        Some(value @ (Value::Array(_) | Value::Object(_))) => text(value).into(),
-        Some(scalar) => scalar.clone(),
-    };
-    keys.iter().map(value).collect()
+    let value = |key: &&str| spec.pointer(&format!("/{}", key.replace('.', "/")));
+    keys.iter().map(|key| value(key).map_or(Value::Null, |value| of_value(value, text))).collect()
 }
 
 /// Text with a trial's K, M, placement, seed, and its values of `keys`.

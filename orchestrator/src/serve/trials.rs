@@ -9,7 +9,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::analysis::setting::{Setting, Settings};
-use crate::cell::{brief, plain};
+use crate::cell::{brief, of_value, plain};
 use crate::reader::Reader;
 use crate::store::StoreError;
 
@@ -79,7 +79,7 @@ impl TrialRow {
             (_, Some(i)) if self.numbers[i].fract() == 0.0 => (self.numbers[i] as i64).into(),
             (_, Some(i)) => self.numbers[i].into(),
             (_, None) => match self.setting.get(key) {
-                Some(value) => in_short(value),
+                Some(value) => of_value(value, brief),
                 None => {
                     let below = format!("{key}.");
                     let said = || self.setting.leaves().keys().any(|path| path.starts_with(&below));
@@ -97,14 +97,6 @@ impl TrialRow {
     pub fn number(&self, name: &str) -> Option<f64> {
         let at = NUMBERS.iter().position(|(known, _)| *known == name).expect("a number of a trial");
         Some(self.numbers[at]).filter(|x| !x.is_nan())
-    }
-}
-
-/// A value of the spec; long lists and tables as their size.
-fn in_short(value: &Value) -> Value {
-    match value {
-        Value::Array(_) | Value::Object(_) => brief(value).into(),
-        scalar => scalar.clone(),
     }
 }
 
@@ -210,7 +202,7 @@ impl Keeper {
             for (key, value) in shared {
                 let of_key = values.entry(key).or_default();
                 if of_key.len() < MOST_VALUES {
-                    of_key.insert(plain(&in_short(value)));
+                    of_key.insert(plain(&of_value(value, brief)));
                 }
             }
         }
