@@ -384,6 +384,11 @@ const EDITS: &[(&str, &str, &str)] = &[
          placement, seed, sensors",
     ),
     (
+        "panels = [2]",
+        "panels = [2]\nexclude = [{ body.columns = 5 }]",
+        "s.toml:15: sweep.exclude = {\"columns\":5}: write the path of each key in quotes: \"body.columns\" = 5",
+    ),
+    (
         "density = 1e-8",
         "density = 1e-8\ncompression = [0, 0, 0.3]",
         "s.toml:8: body.compression = [0, 0, 0.3]: must be a list of 2 numbers",

@@ -40,7 +40,7 @@ fn seeds_may_have_placements_of_their_own() {
 #[test]
 fn a_narrowed_sweep_leaves_out_what_it_does_not_use() {
     let bench = Bench::new();
-    let axis = "\"brain.kind\" = [\"cnn\", \"linear\"]\n";
+    let axis = "\"brain.kind\" = [\"cnn\", \"linear\"]\n\"brain.learning_rate\" = [0.01, 0.02]\n";
     bench.file("s.toml", &TINY.replace("[sweep]\n", &format!("[sweep]\n{axis}")));
     let hashes = |changes: &[&str]| -> Vec<String> {
         let csv = bench.output(&[&["expand", "s.toml", "--format", "csv"], changes].concat());
@@ -58,6 +58,8 @@ fn a_narrowed_sweep_leaves_out_what_it_does_not_use() {
         code == Some(0) && text.contains("warning: ") && text.contains("brain.iterations = 10"),
         "{text}"
     );
+    assert!(text.contains("brain.learning_rate = [0.01, 0.02]: has no effect"), "{text}");
+    assert_eq!(hashes(&[narrow, "sweep.brain.learning_rate="]), linear, "also without the axis");
     let (code, text) = said(&[narrow, "brain.iterations=11"]);
     assert!(code == Some(2) && text.contains("brain.iterations = 11"), "{text}");
     bench.file("s.toml", &TINY.replace("iterations = 10", "iterations = 10\nridge = 0.1"));

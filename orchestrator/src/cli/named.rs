@@ -48,7 +48,7 @@ pub(super) struct Spec {
     #[arg(value_name = "SPEC")]
     pub file: PathBuf,
     /// Values that replace those of the spec, in TOML syntax: optimise.iterations=20 sensors.noise=0.03 'sweep.seeds=[1,
-    /// 2]'
+    /// 2]'; KEY= without a value removes a key
     #[arg(value_name = "KEY=VALUE", value_parser = word)]
     pub changes: Vec<String>,
 }
@@ -68,10 +68,15 @@ impl Spec {
 
     /// Expands the spec into trials.
     pub fn plan(&self) -> Result<Plan, Error> {
-        let plan = Plan::of(self.source()?)?;
-        plan.left_out.iter().for_each(|why| say!("warning: {why}; left out"));
-        Ok(plan)
+        planned(self.source()?)
     }
+}
+
+/// Expands a spec into trials; warns about what is left out.
+pub(super) fn planned(source: Source) -> Result<Plan, Error> {
+    let plan = Plan::of(source)?;
+    plan.left_out.iter().for_each(|why| say!("warning: {why}; left out"));
+    Ok(plan)
 }
 
 /// One trial.

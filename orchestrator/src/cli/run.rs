@@ -11,7 +11,7 @@ use metasense_worker::limits::{Needs, check};
 use tokio::sync::{Notify, oneshot};
 
 use super::live::Live;
-use super::named::Spec;
+use super::named::{Spec, planned};
 use super::pages::Pages;
 use super::results::{Results, print_results};
 use super::simd::Simd;
@@ -121,7 +121,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let fixed = shard.map(|_| FIXED_SHARD);
     let how = RunConfig { spec, running, shard: *shard, fixed, asked: &asked };
     let Some((shard, folder)) = args.shard.zip(args.folder.as_deref()) else {
-        let mut plan = Plan::of(source)?;
+        let mut plan = planned(source)?;
         if args.shard.is_some() {
             refuse_until(&plan)?;
         }
@@ -140,7 +140,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = match trials_of(folder, shard)? {
         Some(trials) => Plan::listed(source, trials)?,
         None => {
-            let mut plan = Plan::of(source)?;
+            let mut plan = planned(source)?;
             refuse_until(&plan)?;
             let assignment = Assignment::in_folder(folder, &plan.trials, shard.count())?;
             super::make_folder(folder)?;

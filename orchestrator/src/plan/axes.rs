@@ -152,6 +152,11 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         for (key, value) in entry {
             let wrong =
                 |remedy: String| Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
+            if let Value::Object(inner) = value {
+                let written = inner.iter().map(|(name, value)| format!("\"{key}.{name}\" = {value}"));
+                let written = written.collect::<Vec<_>>().join(", ");
+                return wrong(format!("write the path of each key in quotes: {written}"));
+            }
             if !known.contains(&key.as_str()) {
                 return wrong(match KnownKeys::nearest_of(key, known.iter().copied()) {
                     Some(nearest) => {

@@ -193,7 +193,7 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
                 }
                 let one = one.strip_prefix("a ")?;
                 // the first noun: "list" in "a list of numbers"
-                let found = ["number", "text", "list", "table"].map(|noun| Some((one.find(noun)?, noun)));
+                let found = ["number", "string", "list", "table"].map(|noun| Some((one.find(noun)?, noun)));
                 let (_, noun) = found.into_iter().flatten().min()?;
                 Some(one.replacen(noun, &format!("{noun}s"), 1))
             };

@@ -21,6 +21,8 @@ const COMMAND_LINE: &str = "command line";
 pub(super) struct Layer {
     pub file: PathBuf,
     pub text: String,
+    /// The key of an override without a value, `KEY=`, which removes the key of the spec.
+    pub removes: Option<String>,
 }
 
 impl Layer {
@@ -49,17 +51,19 @@ impl Layer {
         Ok(layers)
     }
 
-    /// Converts an override `KEY=VALUE`. If the value is not valid TOML, its words are quoted.
+    /// Converts an override `KEY=VALUE`, or `KEY=`. If the value is not valid TOML, its words are quoted.
     fn change(text: &str) -> Result<Self, SpecError> {
-        let layer = |text: String| Self { file: COMMAND_LINE.into(), text };
+        let layer = |text: String| Self { file: COMMAND_LINE.into(), text, removes: None };
         let (key, value) = text.split_once('=').unwrap_or((text, ""));
+        let is_removal = text.contains('=') && value.trim().is_empty();
         let key = match key.trim().strip_prefix("sweep.") {
             // an axis without quotes
             Some(axis) if axis.contains('.') && !axis.contains('"') => format!("sweep.\"{axis}\""),
             _ => key.trim().to_owned(),
         };
         let as_written = layer(format!("{key} = {value}"));
-        let with_quotes = layer(format!("{key} = {}", quoted_words(value)));
+        let quoted = if is_removal { "\"\"".to_owned() } else { quoted_words(value) };
+        let with_quotes = layer(format!("{key} = {quoted}"));
         let found = [as_written, with_quotes].into_iter().find(|layer| layer.places(0).is_ok());
         let wrong = |what: &str| {
             let (key, what) = (key.clone(), format!("{text}: {what}"));
@@ -67,9 +71,10 @@ impl Layer {
         };
         match found {
             Some(_) if key == BASE => Err(wrong("can be set only in the spec")),
-            Some(layer) => Ok(layer),
+            Some(layer) => Ok(Self { removes: is_removal.then_some(key), ..layer }),
             None => Err(wrong(
-                "must be KEY=VALUE with a value as in a spec, such as optimise.iterations=20 or sensors.search=greedy",
+                "must be KEY=VALUE with a value as in a spec, such as optimise.iterations=20 or sensors.search=greedy; KEY= \
+                 removes a key",
             )),
         }
     }
@@ -176,6 +181,16 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
         }
         places.extend(own.into_iter().filter(counts));
     }
+    for layer in layers {
+        let Some(key) = &layer.removes else { continue };
+        let in_spec =
+            |layer: &Layer| layer.places(0).is_ok_and(|all| all.iter().any(|place| place.key == *key));
+        if !layers.iter().any(|layer| !layer.is_override() && in_spec(layer)) {
+            return Err(layer.error(0, key.clone(), format!("{key}=: the spec does not contain this key")));
+        }
+        remove(&mut all, key);
+        places.retain(|place| place.key != *key);
+    }
     let head = layers.iter().find(|layer| layer.file == file).map_or("", |own| &own.text);
     Ok((comments(head) + &toml::to_string(&all).expect("tables of TOML are TOML"), places))
 }
@@ -183,6 +198,15 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
 /// The comments at the head of a text.
 pub(super) fn comments(text: &str) -> String {
     text.split_inclusive('\n').take_while(|line| line.starts_with('#')).collect()
+}
+
+/// Removes a key; an axis is a key of `[sweep]` in quotes.
+pub(super) fn remove(spec: &mut Table, key: &str) -> Option<Value> {
+    let axis = key.strip_prefix("sweep.\"").and_then(|axis| axis.strip_suffix('"'));
+    let (tables, last) =
+        axis.map_or_else(|| key.rsplit_once('.').unwrap_or(("", key)), |axis| ("sweep", axis));
+    let mut names = tables.split('.').filter(|name| !name.is_empty());
+    names.try_fold(spec, |table, name| table.get_mut(name)?.as_table_mut())?.remove(last)
 }
 
 /// Adds the keys that a table lacks.

@@ -19,7 +19,7 @@ mod removed;
 
 pub use keys::KnownKeys;
 pub use layers::each_file;
-use layers::{Layer, comments, folder, merged};
+use layers::{Layer, comments, folder, merged, remove};
 use removed::removed;
 
 /// An error in a spec file.
@@ -68,12 +68,12 @@ impl Source {
     /// Finds the keys of a text in TOML.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
         let file = file.as_ref().to_owned();
-        let layer = Layer { file: file.clone(), text: text.clone() };
+        let layer = Layer { file: file.clone(), text: text.clone(), removes: None };
         let places = layer.places(0)?;
         Ok(Self { file, text, layers: vec![layer], places, flat: Vec::new() })
     }
 
-    /// Finds the keys of a spec's text, of its bases, and of overrides, each `KEY=VALUE`.
+    /// Finds the keys of a spec's text, of its bases, and of overrides, each `KEY=VALUE`, or `KEY=` to remove a key.
     ///
     /// # Errors
     /// If a layer is not valid TOML or cannot be read, bases form a cycle, or an override has no effect or is set twice.
@@ -106,19 +106,17 @@ impl Source {
         (first > 0).then(|| Self::of_layers(layers, &self.file).ok()).flatten()
     }
 
-    /// The spec without a key of the file or its bases; `None` if they do not contain it or an override sets it.
+    /// The spec without a key of the file or its bases, or its axis; `None` if they do not contain it or an override sets it.
     pub fn without_key(&self, key: &str) -> Option<Self> {
-        let place = self.places.iter().find(|place| place.key == key)?;
+        let axis = format!("sweep.\"{key}\"");
+        let place = self.places.iter().find(|place| place.key == key || place.key == axis)?;
         if self.layers[place.layer].is_override() {
             return None;
         }
         let mut all: toml::Table = toml::from_str(&self.text).ok()?;
-        let (tables, last) = key.rsplit_once('.')?;
-        let table =
-            tables.split('.').try_fold(&mut all, |table, name| table.get_mut(name)?.as_table_mut())?;
-        table.remove(last)?;
+        remove(&mut all, &place.key)?;
         let text = comments(&self.text) + &toml::to_string(&all).ok()?;
-        let places = self.places.iter().filter(|place| place.key != key).cloned().collect();
+        let places = self.places.iter().filter(|other| other.key != place.key).cloned().collect();
         Self::with_text(&self.file, text, self.layers.clone(), places).ok()
     }
 
@@ -134,7 +132,7 @@ impl Source {
         layers: Vec<Layer>,
         places: Vec<Place>,
     ) -> Result<Self, SpecError> {
-        let flat = Layer { file: file.to_owned(), text: text.clone() }.places(0)?;
+        let flat = Layer { file: file.to_owned(), text: text.clone(), removes: None }.places(0)?;
         Ok(Self { file: file.to_owned(), text, layers, places, flat })
     }
 

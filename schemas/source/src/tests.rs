@@ -188,6 +188,9 @@ fn changes_are_as_if_written() {
         ("body.stiffness={ stretch = 1.0 }", "stretch = 3.0", "stretch = 1.0"),
         ("body.design={ random = 3 }", "rows = 6", "rows = 6\ndesign = { random = 3 }"),
         ("name=other", "name = \"example\"", "name = \"other\""),
+        ("body.stiffness=", "stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }", ""),
+        ("sweep.body.columns=", "\"body.columns\" = [5, 6]\n", ""),
+        ("sweep.exclude= ", "exclude = [{ sensors = 2, \"body.columns\" = 5 }]", ""),
     ] {
         let (spec, _) = changed(&[change]).unwrap();
         assert!(GOOD.contains(from), "{from}");
@@ -224,6 +227,10 @@ fn errors_of_changes_name_them() {
             &["body.colums=7"][..],
             "command line: body.colums = 7: unknown key; the nearest known one is \"body.columns\"",
         ),
+        (
+            &["stimuli.recorded.force=[1, -1]"],
+            "command line: stimuli.recorded.force = [1, -1]: must be a list of whole numbers of at least 0 or strings in quotes",
+        ),
         (&["body.rows=six"], "command line: body.rows = \"six\": must be a whole number of at least 0"),
         (
             &["body.rows=[5, 6]"],
@@ -259,7 +266,9 @@ fn errors_of_changes_name_them() {
             &["body.rows"],
             "command line: body.rows: must be KEY=VALUE with a value as in a spec, such as optimise",
         ),
-        (&["body.rows="], "command line: body.rows=: must be KEY=VALUE"),
+        (&["body.row="], "command line: body.row=: the spec does not contain this key"),
+        (&["body.rows=", "body.rows=3"], "command line: body.rows = \"\": is set twice; leave one out"),
+        (&["="], "command line: =: must be KEY=VALUE"),
         (&["=3"], "command line: =3: must be KEY=VALUE"),
         (&["base=b.toml"], "command line: base=b.toml: can be set only in the spec"),
     ] {
