@@ -8,7 +8,7 @@ use std::path::Path;
 
 use crate::common::SPEC;
 use crate::common::roll::{self, Roll};
-use metasense::analysis::{Question, Terms};
+use metasense::analysis::{DecisionTerms, Question};
 use metasense::cluster::{Assignment, Shard, merge, state};
 use metasense::plan::Plan;
 use metasense::reader::Reader;
@@ -86,10 +86,10 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
         }
         if let Ok(trials) = load::finished_trials(&mut reader).await {
             for question in Question::all() {
-                let _ = question.answer(&trials, Terms::default());
+                let _ = question.answer(&trials, DecisionTerms::default());
             }
         }
-        let _ = load::story(&mut reader, None, Terms::default()).await;
+        let _ = load::story(&mut reader, None, DecisionTerms::default()).await;
         for trial in &plan.trials {
             let _ = reader.stored(&trial.hash).await;
         }

@@ -5,11 +5,11 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use crate::common::SPEC;
-use metasense::cluster::merge::{Extent, Kind, MergeError, Summary, merge};
+use metasense::cluster::merge::{Extent, FindingKind, MergeError, Summary, merge};
 use metasense::plan::Plan;
 use metasense::reader::Reader;
-use metasense::store::{Array, RunPlan, Store, StoreError, npy_bytes};
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense::store::{RunPlan, Store, StoreError, StoredArray, npy_bytes};
+use metasense_schemas::record::{BodyRecord, Checkpoint, NetworkRecord, StepRecord, TrialResult};
 use proptest::prelude::*;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
@@ -50,8 +50,8 @@ async fn live(store: &mut Store, hash: &str, life: TrialState) {
     match life {
         TrialState::Done(error, simd) => {
             let network =
-                NetworkEvaluation { error_test: Some(error), losses: vec![1.0, 0.5], ..Default::default() };
-            let body = BodyEvaluation { design: vec![error], networks: vec![network], ..Default::default() };
+                NetworkRecord { error_test: Some(error), losses: vec![1.0, 0.5], ..Default::default() };
+            let body = BodyRecord { design: vec![error], networks: vec![network], ..Default::default() };
             let result = TrialResult {
                 initial: body.clone(),
                 optimised: body,
@@ -60,7 +60,7 @@ async fn live(store: &mut Store, hash: &str, life: TrialState) {
             };
             steps(store, hash, attempt, 4).await;
             let npy = npy_bytes(&[1], &[error]);
-            let array = Array { name: "forces", shape: &[1], npy: &npy };
+            let array = StoredArray { name: "forces", shape: &[1], npy: &npy };
             store.finish(hash, attempt, &result, &[array]).await.unwrap();
         }
         TrialState::Failed(reason) => {
@@ -267,12 +267,17 @@ fn what_disagrees_or_is_left_out_is_listed() {
     let hash = |i: usize| &s.trials[i].hash;
     let bits = "error_initial error_optimised alpha_initial alpha_optimised forces network";
     let mut expected = vec![
-        (Kind::Bits, hash(3), file(4), bits),
-        (Kind::Outcome, hash(1), file(5), "failed in the discarded copy (non_finite), done in the kept copy"),
-        (Kind::LeftOut, hash(3), file(1), "pending (stopped): 1 attempts with 3 steps"),
-        (Kind::LeftOut, hash(1), file(7), "pending (stopped): 1 attempts with 2 steps"),
-        (Kind::LeftOut, hash(4), file(5), "failed (worker_killed(9)): 1 attempts with 1 steps"),
-        (Kind::LeftOut, hash(4), file(7), "pending (stopped): 1 attempts with 2 steps"),
+        (FindingKind::Bits, hash(3), file(4), bits),
+        (
+            FindingKind::Outcome,
+            hash(1),
+            file(5),
+            "failed in the discarded copy (non_finite), done in the kept copy",
+        ),
+        (FindingKind::LeftOut, hash(3), file(1), "pending (stopped): 1 attempts with 3 steps"),
+        (FindingKind::LeftOut, hash(1), file(7), "pending (stopped): 1 attempts with 2 steps"),
+        (FindingKind::LeftOut, hash(4), file(5), "failed (worker_killed(9)): 1 attempts with 1 steps"),
+        (FindingKind::LeftOut, hash(4), file(7), "pending (stopped): 1 attempts with 2 steps"),
     ];
     expected.sort();
     let mut found = found;
@@ -735,8 +740,8 @@ async fn copies_of_one_run_that_differ_are_named() {
     let [done, open] = [0, 3].map(|order: usize| plan.trials[order].hash.clone());
     let zeroed = "bytes = zeroblob(length(bytes))";
     let of_done = "WHERE state = 'done'";
-    let bits = |what| vec![(Kind::Bits, what)];
-    let forces = vec![(Kind::Damaged, "forces"), (Kind::Bits, "forces")];
+    let bits = |what| vec![(FindingKind::Bits, what)];
+    let forces = vec![(FindingKind::Damaged, "forces"), (FindingKind::Bits, "forces")];
     for (sql, hash, expected, whole_is_kept) in [
         (
             format!("UPDATE trial SET holdout_error_optimised = 99 {of_done}"),
@@ -761,7 +766,7 @@ async fn copies_of_one_run_that_differ_are_named() {
             false,
         ),
         (format!("UPDATE artifact SET {zeroed} WHERE name = 'forces'"), &done, forces, true),
-        (format!("UPDATE checkpoint SET {zeroed}"), &open, vec![(Kind::Damaged, "checkpoint")], true),
+        (format!("UPDATE checkpoint SET {zeroed}"), &open, vec![(FindingKind::Damaged, "checkpoint")], true),
     ] {
         for changed in ["a.sqlite", "z.sqlite"] {
             std::fs::copy(at("whole.sqlite"), at(changed)).unwrap();

@@ -6,7 +6,7 @@ use crate::common::{Bench, SPEC, TINY, results};
 use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Plan;
 use metasense::provenance;
-use metasense::store::{Level, Store};
+use metasense::store::{LogLevel, Store};
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
@@ -222,9 +222,9 @@ async fn what_was_said_stays_with_the_trial() {
     let attempt = store.begin_attempt(hash).await.unwrap();
     for line in 0..150 {
         let text = format!("line {line}: {}", "ä".repeat(if line == 3 { 10_000 } else { 3 }));
-        store.log(hash, attempt, Level::Warn, &text).await.unwrap();
+        store.log(hash, attempt, LogLevel::Warn, &text).await.unwrap();
     }
-    store.log(hash, attempt, Level::Error, "non_finite: sample 3").await.unwrap();
+    store.log(hash, attempt, LogLevel::Error, "non_finite: sample 3").await.unwrap();
     store.fail(hash, attempt, "non_finite", true).await.unwrap();
     store.close().await.unwrap();
     merge(Extent::Whole, &[bench.path("s.sqlite")], &bench.path("merged.sqlite")).await.unwrap();

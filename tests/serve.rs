@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense::plan::Plan;
-use metasense::serve::{Address, ServerState, Source, Token, serve};
-use metasense::store::{Level, Store};
+use metasense::serve::{Address, ServerState, Token, WatchedDatabase, serve};
+use metasense::store::{LogLevel, Store};
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
@@ -50,7 +50,7 @@ impl Server {
     pub async fn at(dbs: &[PathBuf], token: Option<Token>, address: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let sources = dbs.iter().map(|db| Source::new(db).unwrap()).collect();
+        let sources = dbs.iter().map(|db| WatchedDatabase::new(db).unwrap()).collect();
         let served = ServerState::new(sources, Token::of("key"), token, address);
         let task = tokio::spawn(serve(listener, Arc::clone(&served)));
         Self { port, served, task }
@@ -98,7 +98,7 @@ pub async fn begun(db: &Path) -> (Store, Vec<String>) {
     let hashes: Vec<String> = plan.trials.iter().map(|trial| trial.hash.clone()).collect();
     store.begin_attempt(&hashes[0]).await.unwrap();
     step(&mut store, &hashes[0], 0).await;
-    store.log(&hashes[0], 1, Level::Warn, "something was said").await.unwrap();
+    store.log(&hashes[0], 1, LogLevel::Warn, "something was said").await.unwrap();
     (store, hashes)
 }
 

@@ -1,12 +1,12 @@
 //! The store keeps all records exactly once, and none of a stale attempt.
 
 use metasense::cluster::merge::{Extent, merge};
-use metasense::plan::Trial;
+use metasense::plan::PlannedTrial;
 use metasense::reader::Reader;
-use metasense::store::{Array, RunPlan, Store, StoreError, npy_bytes};
+use metasense::store::{RunPlan, Store, StoreError, StoredArray, npy_bytes};
 use metasense_schemas::record::{
-    BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Parts, Provenance, Reading, Spread,
-    StepRecord, TrialResult, UnderReading,
+    BodyRecord, CastRecord, Checkpoint, NetworkRecord, Parts, Provenance, ReadingRecord, SpreadRecord,
+    StepRecord, TrialResult, UnderRecord,
 };
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use serde_json::json;
@@ -23,7 +23,7 @@ pub fn sweep() -> SweepSpec {
     .unwrap()
 }
 
-pub fn trial(order: usize) -> Trial {
+pub fn trial(order: usize) -> PlannedTrial {
     let sweep = serde_json::to_value(sweep()).unwrap();
     let mut spec = json!({"point": {"panels": 2, "sensors": 1, "placement": order, "seed": 1},
         "panel_units": [31, 34], "sensor_units": [21]});
@@ -33,7 +33,7 @@ pub fn trial(order: usize) -> Trial {
     }
     let spec: TrialSpec = serde_json::from_value(spec).unwrap();
     let hash = format!("{order:032x}");
-    Trial {
+    PlannedTrial {
         hash,
         training: spec.training(),
         spec,
@@ -48,12 +48,12 @@ pub fn trial(order: usize) -> Trial {
     }
 }
 
-fn spread(error: f64) -> Spread {
-    Spread { median: Some(0.5 * error), p90: Some(2.0 * error), above: error as u32 }
+fn spread(error: f64) -> SpreadRecord {
+    SpreadRecord { median: Some(0.5 * error), p90: Some(2.0 * error), above: error as u32 }
 }
 
 pub fn result() -> TrialResult {
-    let network = |error: f64| NetworkEvaluation {
+    let network = |error: f64| NetworkRecord {
         error_test: Some(error),
         error_holdout: Some(error + 1.0),
         losses: (1..=1000).map(|i| 1.0 / i as f32).collect(),
@@ -61,13 +61,13 @@ pub fn result() -> TrialResult {
         spread: Some(spread(error)),
         ..Default::default()
     };
-    let body = |error| BodyEvaluation {
+    let body = |error| BodyRecord {
         design: vec![0.5; 168],
         networks: vec![network(error), network(error + 2.0)],
-        readings: vec![Reading { spread: Some(spread(error)), ..Default::default() }],
+        readings: vec![ReadingRecord { spread: Some(spread(error)), ..Default::default() }],
         ..Default::default()
     };
-    let cast = CastReading {
+    let cast = CastRecord {
         reader: "records".into(),
         error: Some(4.0),
         spread: Some(spread(4.0)),
@@ -75,7 +75,7 @@ pub fn result() -> TrialResult {
         share: Some(1e-2),
         ..Default::default()
     };
-    let under = UnderReading { error: Some(9.0), spread: Some(spread(9.0)), ..Default::default() };
+    let under = UnderRecord { error: Some(9.0), spread: Some(spread(9.0)), ..Default::default() };
     TrialResult {
         initial: body(20.0),
         optimised: body(10.0),
@@ -125,7 +125,7 @@ async fn what_is_recorded_is_read_back() {
     let stale = store.record_step(hash, 1, &step, &checkpoint).await;
     assert!(matches!(stale, Err(StoreError::Stale(_, 1))), "{stale:?}");
     let npy = npy_bytes(&[1, 2, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-    let forces = Array { name: "forces", shape: &[1, 2, 3], npy: &npy };
+    let forces = StoredArray { name: "forces", shape: &[1, 2, 3], npy: &npy };
     store.finish(hash, 2, &result(), &[forces]).await.unwrap();
     assert_eq!(store.settled().await.unwrap(), std::slice::from_ref(hash));
     assert_eq!(store.checkpoint(hash).await.unwrap(), None);
@@ -296,7 +296,7 @@ async fn foreign_and_newer_databases_are_refused_untouched() {
 async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
     let folder = tempfile::tempdir().unwrap();
     let db = folder.path().join("s.sqlite");
-    let trials: Vec<Trial> = (0..400).map(trial).collect();
+    let trials: Vec<PlannedTrial> = (0..400).map(trial).collect();
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
@@ -396,7 +396,7 @@ async fn elapsed_times_do_not_follow_the_clock() {
 async fn a_damaged_checkpoint_gives_way_to_another_trials() {
     let folder = tempfile::tempdir().unwrap();
     let db = folder.path().join("s.sqlite");
-    let trials = [0, 1].map(|order| Trial { training: "same".into(), ..trial(order) });
+    let trials = [0, 1].map(|order| PlannedTrial { training: "same".into(), ..trial(order) });
     let [own, other] = [0, 1].map(|i: usize| trials[i].hash.as_str());
     let mut store = Store::open(&db).await.unwrap();
     let text = |text: &str| text.to_owned();

@@ -5,18 +5,18 @@ use std::path::Path;
 
 use crate::common::{Bench, TINY};
 use crate::synthetic;
-use metasense::analysis::{Body, Question, Set, Terms, Trial};
+use metasense::analysis::{BodyState, DecisionTerms, Question, Set, Trial};
 use metasense::cluster::merge::{Extent, merge};
 use metasense::look::Table;
-use metasense::plan::{Plan, Trial as Planned};
+use metasense::plan::{Plan, PlannedTrial as Planned};
 use metasense::progress::Observer;
 use metasense::reader::Reader;
 use metasense::report::load::{finished_trials, story};
 use metasense::serve::Trials;
-use metasense::store::{Level, RunPlan, Store};
+use metasense::store::{LogLevel, RunPlan, Store};
 use metasense_schemas::record::{
-    Band, BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Provenance, Reading, Seconds, Spread,
-    StepRecord, TrialResult,
+    BandRecord, BodyRecord, CastRecord, Checkpoint, NetworkRecord, Provenance, ReadingRecord, SpreadRecord,
+    StepRecord, StepSeconds, TrialResult,
 };
 
 const STEPS: u32 = 4;
@@ -35,7 +35,7 @@ fn provenance() -> Provenance {
 }
 
 fn step(step: u32) -> StepRecord {
-    let seconds = Seconds { simulate: 0.5, train: 0.25, differentiate: 0.125, ..Seconds::default() };
+    let seconds = StepSeconds { simulate: 0.5, train: 0.25, differentiate: 0.125, ..StepSeconds::default() };
     StepRecord {
         step,
         error_test: Some(40.0 - f64::from(step)),
@@ -46,36 +46,36 @@ fn step(step: u32) -> StepRecord {
 }
 
 fn result(trial: &Planned, error: f64) -> TrialResult {
-    let network = |factor: f64| NetworkEvaluation {
+    let network = |factor: f64| NetworkRecord {
         error_test: Some(factor * error),
         error_train: Some(0.5 * factor * error),
         error_holdout: Some(2.0 * factor * error),
         losses: vec![1.0, 0.5],
         outcome: "ok".into(),
-        spread: Some(Spread { median: Some(1.5 * factor * error), p90: Some(4.0 * error), above: 1 }),
-        ..NetworkEvaluation::default()
+        spread: Some(SpreadRecord { median: Some(1.5 * factor * error), p90: Some(4.0 * error), above: 1 }),
+        ..NetworkRecord::default()
     };
-    let reading = Reading {
+    let reading = ReadingRecord {
         before: 3,
         after: 2,
         error_test: Some(error),
         error_holdout: Some(3.0 * error),
-        ..Reading::default()
+        ..ReadingRecord::default()
     };
-    let body = || BodyEvaluation {
+    let body = || BodyRecord {
         design: vec![0.0; 80],
         networks: (0..trial.spec.evaluation.networks()).map(|n| network(1.0 + n as f64)).collect(),
         readings: vec![reading.clone()],
-        ..BodyEvaluation::default()
+        ..BodyRecord::default()
     };
-    let cast = |cast: u32| CastReading {
+    let cast = |cast: u32| CastRecord {
         cast,
         reader: "casts".into(),
         error: Some(error + f64::from(cast)),
         outcome: "ok".into(),
-        ..CastReading::default()
+        ..CastRecord::default()
     };
-    let band = |cast: u32| Band {
+    let band = |cast: u32| BandRecord {
         reader: "casts".into(),
         cast: Some(cast),
         method: "conformal".into(),
@@ -83,7 +83,7 @@ fn result(trial: &Planned, error: f64) -> TrialResult {
         level: 0.9,
         coverage: Some(0.8 + 0.01 * f64::from(cast)),
         outcome: "ok".into(),
-        ..Band::default()
+        ..BandRecord::default()
     };
     let (casts, bands): (Vec<_>, Vec<_>) = ((0..10).map(cast).collect(), (0..10).map(band).collect());
     TrialResult {
@@ -154,7 +154,7 @@ async fn made_up(db: &Path) -> Plan {
     // failed, cancelled, running
     let attempt = store.begin_attempt(two[1]).await.unwrap();
     store.record_cpu_seconds(two[1], attempt, 7.0).await.unwrap();
-    store.log(two[1], attempt, Level::Error, "no reason").await.unwrap();
+    store.log(two[1], attempt, LogLevel::Error, "no reason").await.unwrap();
     store.fail(two[1], attempt, "non_finite", true).await.unwrap();
     store.fail_pending(two[2], "cancelled").await.unwrap();
     // computed by other code, and marked for repetition
@@ -213,7 +213,7 @@ async fn seconds_agree(reader: &mut Reader, finished: &[Trial]) {
     let done = by_trial(reader, &format!("SELECT hash, seconds FROM v_trial t {DONE}")).await;
     same("seconds of `analyse`", &done, &of(&|trial| Some(trial.spent)));
     same("seconds by part", &done, &of(&|trial| Some(trial.seconds.iter().map(|part| part.1).sum())));
-    let table = Question::Seconds.answer(finished, Terms::default());
+    let table = Question::Seconds.answer(finished, DecisionTerms::default());
     let [all, first] = ["all", "simulate"].map(|name| table.column(name));
     for row in &table.rows {
         let parts: f64 = row[first.min(all + 1)..].iter().filter_map(serde_json::Value::as_f64).sum();
@@ -233,7 +233,7 @@ async fn seconds_agree(reader: &mut Reader, finished: &[Trial]) {
 /// Errors and probabilities of finished trials from the views and the loader.
 async fn errors_agree(reader: &mut Reader, finished: &[Trial]) {
     let of = |number: &dyn Fn(&Trial) -> Option<f64>| of_trials(finished, number);
-    for (b, body) in Body::ALL.into_iter().enumerate() {
+    for (b, body) in BodyState::ALL.into_iter().enumerate() {
         let (name, of_body) = (body.name(), format!("AND x.body = '{}'", body.name()));
         for (set, column, of_network) in [
             (Set::Test, format!("error_{name}"), "error_test"),
@@ -290,7 +290,7 @@ async fn counts_agree(reader: &mut Reader, db: &Path) {
         };
         status.iter().filter(is).map(|row| row["trials"].as_f64().unwrap()).sum()
     };
-    let told = story(reader, None, Terms::default()).await.unwrap().states;
+    let told = story(reader, None, DecisionTerms::default()).await.unwrap().states;
     let progress = Observer::default().look(reader).await.unwrap();
     for (name, of_status, of_report, of_page) in [
         ("all", of_status("trials"), told.all, progress.trials[0]),

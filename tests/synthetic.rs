@@ -12,10 +12,10 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
-use metasense::plan::Trial;
+use metasense::plan::PlannedTrial;
 use metasense::store::Store;
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, NetworkEvaluation, Parts, Seconds, StepRecord, TrialResult,
+    BodyRecord, Checkpoint, NetworkRecord, Parts, StepRecord, StepSeconds, TrialResult,
 };
 use metasense_schemas::spec::{Design, SweepSpec, TrialSpec};
 use serde_json::{Value, json};
@@ -52,7 +52,7 @@ fn trial(
     panels: usize,
     sensors: usize,
     placement: usize,
-) -> Trial {
+) -> PlannedTrial {
     let sweep = sweep(columns, rows, panels);
     let unit = |k: usize| (rows - 1) * columns + (2 * k + 1) * columns / (2 * panels);
     let mut spec = json!({
@@ -66,7 +66,7 @@ fn trial(
         spec[key] = sweep[key].clone();
     }
     let spec: TrialSpec = serde_json::from_value(spec).unwrap();
-    Trial {
+    PlannedTrial {
         hash: format!("{order:032x}"),
         training: spec.training(),
         spec,
@@ -98,8 +98,8 @@ fn design(columns: usize, rows: usize, scatter: f64) -> Vec<f64> {
     shifts.into_iter().flatten().enumerate().map(|(n, x)| moved(n, x)).collect()
 }
 
-fn evaluation(design: Vec<f64>, weights: usize, error: f64, loss: f32) -> BodyEvaluation {
-    let network = |factor: f64| NetworkEvaluation {
+fn evaluation(design: Vec<f64>, weights: usize, error: f64, loss: f32) -> BodyRecord {
+    let network = |factor: f64| NetworkRecord {
         error_train: Some(0.8 * error * factor),
         error_test: Some(error * factor),
         error_holdout: Some(1.05 * error * factor),
@@ -111,7 +111,7 @@ fn evaluation(design: Vec<f64>, weights: usize, error: f64, loss: f32) -> BodyEv
     };
     let mut networks = vec![network(0.98), network(1.02)];
     networks[0].weights = (0..weights).map(|i| 0.1 * (3.7 * i as f32).sin()).collect();
-    BodyEvaluation { design, networks, ..Default::default() }
+    BodyRecord { design, networks, ..Default::default() }
 }
 
 fn step(step: u32, error: f64) -> StepRecord {
@@ -120,7 +120,7 @@ fn step(step: u32, error: f64) -> StepRecord {
         error_test: Some(error),
         projection: "projected".into(),
         outcome: "ok".into(),
-        seconds: Seconds {
+        seconds: StepSeconds {
             simulate: 0.5,
             train: 2.0,
             differentiate: 0.8,
@@ -145,7 +145,7 @@ pub fn write(db: &Path) {
 }
 
 async fn fill(db: &Path) {
-    let mut trials: Vec<(Trial, f64, f64)> = Vec::new();
+    let mut trials: Vec<(PlannedTrial, f64, f64)> = Vec::new();
     for placement in 0..5 {
         for sensors in 1..=6 {
             let trial = trial(trials.len(), (8, 6), 4, sensors, placement);
@@ -181,7 +181,7 @@ async fn fill(db: &Path) {
     }
     let spec: SweepSpec = serde_json::from_value(sweep(8, 6, 4)).unwrap();
     let mut store = Store::open(db).await.unwrap();
-    let plan: Vec<Trial> = trials.iter().map(|t| t.0.clone()).collect();
+    let plan: Vec<PlannedTrial> = trials.iter().map(|t| t.0.clone()).collect();
     store.begin_sweep(&spec, TEXT, &plan).await.unwrap();
     store.begin_batch().await.unwrap();
     for (trial, initial, optimised) in &trials[..trials.len() - 1] {

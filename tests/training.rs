@@ -130,7 +130,7 @@ async fn a_body_is_handed_on() {
         .into_iter()
         .map(|mut trial| {
             trial.spec.optimise = trial.spec.optimise.resolved();
-            metasense::plan::Trial { training: "body".into(), ..trial }
+            metasense::plan::PlannedTrial { training: "body".into(), ..trial }
         })
         .collect();
     let [first, second] = [&trials[0].hash, &trials[1].hash];

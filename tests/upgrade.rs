@@ -10,7 +10,7 @@ use metasense::plan::Plan;
 use metasense::reader::Reader;
 use metasense::store::Store;
 use metasense_schemas::database::VERSION;
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::record::{BodyRecord, Checkpoint, NetworkRecord, StepRecord, TrialResult};
 
 pub fn database() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../tests/databases/v{VERSION}.sqlite"))
@@ -29,9 +29,9 @@ fn checkpoint() -> Checkpoint {
 }
 
 fn result() -> TrialResult {
-    let body = |error: f64| BodyEvaluation {
+    let body = |error: f64| BodyRecord {
         design: vec![0.5; 168],
-        networks: vec![NetworkEvaluation {
+        networks: vec![NetworkRecord {
             error_test: Some(error),
             error_holdout: Some(error),
             losses: vec![1.0, 0.5],

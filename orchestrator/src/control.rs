@@ -27,7 +27,7 @@ use tokio::time::timeout;
 use crate::analysis::view::View;
 use crate::files;
 use crate::plan::{Plan, counted};
-use crate::scheduler::{State, SteerAnswer, SteerRefusal};
+use crate::scheduler::{SchedulerState, SteerAnswer, SteerRefusal};
 
 /// Longest request and answer (bytes).
 const LINE: u64 = 4 << 10;
@@ -408,7 +408,7 @@ impl fmt::Debug for Control {
 }
 
 /// State of a run as text.
-pub(crate) fn in_words(state: &State, view: &View) -> String {
+pub(crate) fn in_words(state: &SchedulerState, view: &View) -> String {
     let how = match (state.is_stopping(), state.is_paused()) {
         (true, _) => "stopping",
         (false, true) => "paused",

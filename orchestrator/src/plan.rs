@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use metasense_lab::cost;
 use metasense_schemas::spec::{
-    Body, BodyKind, Design, Disturbance, LayoutKind, Point, Search, SearchFrom, SweepSpec, Training,
-    TrialSpec,
+    Body, BodyKind, Design, Disturbance, LayoutKind, Search, SearchFrom, SharedTraining, SweepPoint,
+    SweepSpec, TrialSpec,
 };
 use metasense_source::{Source, SpecError};
 use metasense_worker::design::Layout;
@@ -34,7 +34,7 @@ pub(crate) use check::{GRACE_MAX, check_placements};
 use combinations::Combinations;
 use files::{described, with_records};
 pub(crate) use files::{with_design, with_file};
-pub use metasense_schemas::record::Trial;
+pub use metasense_schemas::record::PlannedTrial;
 
 /// A spec file and its trials.
 #[derive(Debug, Clone)]
@@ -44,7 +44,7 @@ pub struct Plan {
     /// The parsed spec.
     pub spec: SweepSpec,
     /// The trials, in the order in which they run.
-    pub trials: Vec<Trial>,
+    pub trials: Vec<PlannedTrial>,
     /// Repeated trials of points, and keys of the file that overrides have made irrelevant, with the reason; `source` does not
     /// contain these keys.
     pub left_out: Vec<String>,
@@ -75,13 +75,13 @@ impl Plan {
     }
 
     /// A plan with trials that were expanded earlier.
-    pub fn listed(source: Source, trials: Vec<Trial>) -> Result<Self, SpecError> {
+    pub fn listed(source: Source, trials: Vec<PlannedTrial>) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
         Ok(Self { source, spec, trials, left_out: Vec::new() })
     }
 
     /// The only trial whose hash starts with `hash`.
-    pub fn find(&self, hash: &str) -> Result<&Trial, HashError> {
+    pub fn find(&self, hash: &str) -> Result<&PlannedTrial, HashError> {
         let at = position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str()))?;
         Ok(&self.trials[at])
     }
@@ -90,7 +90,7 @@ impl Plan {
     /// names the key that needs the most memory.
     pub fn check_memory(&self) -> Result<(), SpecError> {
         let limit = memory::limit(self.spec.run.memory);
-        let check = |trial: &Trial| memory::check(&trial.spec, trial.units, limit.as_ref());
+        let check = |trial: &PlannedTrial| memory::check(&trial.spec, trial.units, limit.as_ref());
         self.trials.iter().try_for_each(check).map_err(located(&self.source))
     }
 
@@ -103,11 +103,11 @@ impl Plan {
 /// All trials of one combination of axes, K and M; they differ in placement and seed.
 struct PointPlan {
     /// The trials, without placement, seed and hashes.
-    trial: Trial,
+    trial: PlannedTrial,
     /// Sensor units per placement.
     placements: Vec<Vec<usize>>,
     excluded: Vec<axes::Exclusion>,
-    training: Training,
+    training: SharedTraining,
 }
 
 fn add_points(
@@ -190,8 +190,8 @@ fn add_points(
                     .map_err(located)?;
             }
             let (cost, weight) = cost::of(&template, layout.units());
-            let training = Training::of(&template);
-            let trial = Trial {
+            let training = SharedTraining::of(&template);
+            let trial = PlannedTrial {
                 hash: String::new(),
                 training: String::new(),
                 order: 0,
@@ -284,7 +284,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
         optimise,
         evaluation,
         feasible: spec.feasible,
-        point: Point { panels, sensors, placement: 0, seed: 0 },
+        point: SweepPoint { panels, sensors, placement: 0, seed: 0 },
         panel_units: panel_units.to_vec(),
         sensor_units: Vec::new(),
     }
@@ -299,7 +299,7 @@ fn at(template: &TrialSpec, placement: usize, sensor_units: &[usize], seed: u64)
 }
 
 /// The trials, and the number of repeated ones.
-fn trials(spec: &SweepSpec, points: &[PointPlan]) -> (Vec<Trial>, usize) {
+fn trials(spec: &SweepSpec, points: &[PointPlan]) -> (Vec<PlannedTrial>, usize) {
     let (mut trials, mut repeated) = (Vec::new(), 0);
     let mut seen = HashSet::new();
     let most_placements = points.iter().map(|p| p.placements.len()).max().unwrap_or(0);
@@ -318,7 +318,9 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> (Vec<Trial>, usize) {
                 let (hash, training) = (spec.hash(), point.training.at(&spec));
                 // Different axis values may give the same trial.
                 match seen.insert(hash.clone()) {
-                    true => trials.push(Trial { hash, training, spec, order: trials.len(), ..point.trial }),
+                    true => {
+                        trials.push(PlannedTrial { hash, training, spec, order: trials.len(), ..point.trial })
+                    }
                     false => repeated += 1,
                 }
             }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use metasense_schemas::wire::Start;
+use metasense_schemas::wire::WorkerStart;
 
 /// A worker process as seen in `/proc`.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +37,7 @@ pub fn children(parent: u32) -> Vec<u32> {
 fn read_process(pid: u32) -> Option<WorkerProcess> {
     let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
     let mut words = line.split('\0').skip_while(|word| *word != "worker").skip(1);
-    let start: Start = serde_json::from_str(words.next()?).ok()?;
+    let start: WorkerStart = serde_json::from_str(words.next()?).ok()?;
     let worker = Path::new(&start.root).file_name()?.to_str()?.to_owned();
     let Stat { name, state, ticks, .. } = stat(pid)?;
     Some(WorkerProcess { pid, worker, name, state, ticks })

@@ -10,11 +10,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::spec::TrialSpec;
 
-pub use checkpoint::{Best, Checkpoint, CheckpointError, Comparison, Moments, Training, Waypoint};
+pub use checkpoint::{
+    BestDesign, Checkpoint, CheckpointError, ComparisonProgress, Moments, NetworkInTraining, Waypoint,
+};
 
 /// A trial of a plan, before it runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Trial {
+pub struct PlannedTrial {
     /// Permanent name of the trial.
     pub hash: String,
     /// Hash of the training: [`TrialSpec::training`]. One of the trials that share it trains the body for all.
@@ -43,7 +45,7 @@ pub struct Trial {
     pub pause: Option<u32>,
 }
 
-impl Trial {
+impl PlannedTrial {
     /// Estimated seconds on one core of this machine; outer steps count only if the trial trains its body.
     pub fn seconds(&self) -> f64 {
         self.cost.sum(self.trains)
@@ -88,7 +90,7 @@ pub struct Provenance {
 /// Exact counts of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Counters {
+pub struct WorkCounts {
     /// Evaluations of the ligament forces, one per sample and stage, including those with dual numbers in the reverse sweep.
     pub force_evaluations: u64,
     /// Accepted integrator steps.
@@ -106,7 +108,7 @@ pub struct Counters {
 /// CPU time of a step by part (s of the worker process, all threads).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Seconds {
+pub struct StepSeconds {
     /// Simulation.
     pub simulate: f64,
     /// Training of the decoder.
@@ -166,15 +168,15 @@ pub struct StepRecord {
     /// Number of new samples simulated in this step.
     pub fresh_samples: u64,
     /// Counts of work.
-    pub counters: Counters,
+    pub counters: WorkCounts,
     /// CPU time by part.
-    pub seconds: Seconds,
+    pub seconds: StepSeconds,
 }
 
 /// Distribution of the errors of held-out samples, because a single sample can dominate their mean.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Spread {
+pub struct SpreadRecord {
     /// Median (%).
     pub median: Option<f64>,
     /// 90th percentile (%).
@@ -186,7 +188,7 @@ pub struct Spread {
 /// Errors of a fresh network on a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct NetworkEvaluation {
+pub struct NetworkRecord {
     /// Prediction error on the training set (%).
     pub error_train: Option<f64>,
     /// Prediction error on the test set (%).
@@ -202,13 +204,13 @@ pub struct NetworkEvaluation {
     /// `ok`, or the name of the numerical failure.
     pub outcome: String,
     /// Distribution of the held-out errors.
-    pub spread: Option<Spread>,
+    pub spread: Option<SpreadRecord>,
 }
 
 /// Errors of a linear decoder on a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Reading {
+pub struct ReadingRecord {
     /// Memory before an estimate (instants).
     pub before: u32,
     /// Look-ahead (instants).
@@ -222,21 +224,21 @@ pub struct Reading {
     /// Prediction error on the held-out set (%).
     pub error_holdout: Option<f64>,
     /// Distribution of the held-out errors.
-    pub spread: Option<Spread>,
+    pub spread: Option<SpreadRecord>,
 }
 
 /// A body with the errors of its decoders.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct BodyEvaluation {
+pub struct BodyRecord {
     /// α (mm), flat.
     pub design: Vec<f64>,
     /// Fresh networks, one per seed.
-    pub networks: Vec<NetworkEvaluation>,
+    pub networks: Vec<NetworkRecord>,
     /// Networks trained for `evaluation.long_iterations`, if set; without weights.
-    pub long: Vec<NetworkEvaluation>,
+    pub long: Vec<NetworkRecord>,
     /// Linear decoders, in all trials; the first uses the whole sample.
-    pub readings: Vec<Reading>,
+    pub readings: Vec<ReadingRecord>,
     /// Number of samples without force (no error) or with a failed simulation (100 %): training, test, held-out set.
     pub zero_samples: [u32; 3],
 }
@@ -244,7 +246,7 @@ pub struct BodyEvaluation {
 /// Result of the sensor search.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Placed {
+pub struct PlacedRecord {
     /// Units, the most valuable first.
     pub units: Vec<usize>,
     /// Cross-validated error (%) of a linear decoder with the first m units, m = 1 … M.
@@ -262,7 +264,7 @@ pub struct Placed {
 /// Error of one decoder on one cast of a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct CastReading {
+pub struct CastRecord {
     /// Number of the cast, from 0; casts of equal number have equal deviations on both bodies.
     pub cast: u32,
     /// `network`: the first network of the comparison; `network_casts`: trained on other casts; linear decoders `nominal`:
@@ -276,7 +278,7 @@ pub struct CastReading {
     /// `ok`, or the name of the numerical failure.
     pub outcome: String,
     /// Distribution of the held-out errors.
-    pub spread: Option<Spread>,
+    pub spread: Option<SpreadRecord>,
     /// λ of a linear decoder, or of the linear part of a stacked one.
     pub ridge: Option<f64>,
     /// κ of a linear decoder calibrated on this cast: weight of a sample of other casts relative to a record.
@@ -286,7 +288,7 @@ pub struct CastReading {
 /// A band around the estimated forces: its coverage on the held-out set and its width.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Band {
+pub struct BandRecord {
     /// `own`: the first decoder of the body; on casts as in [`CastReading`].
     pub reader: String,
     /// Number of samples of the cast to which it was fitted, as in [`CastReading`].
@@ -314,7 +316,7 @@ pub struct Band {
 /// Error of a linear decoder on a body under another kind of forces (`evaluation.under`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct UnderReading {
+pub struct UnderRecord {
     /// `initial` or `optimised`.
     pub body: String,
     /// Kind of forces.
@@ -326,7 +328,7 @@ pub struct UnderReading {
     /// `ok`, or the name of the numerical failure.
     pub outcome: String,
     /// Distribution of the held-out errors.
-    pub spread: Option<Spread>,
+    pub spread: Option<SpreadRecord>,
 }
 
 /// Error of a readout of a sensing task on a body (`evaluation.tasks`).
@@ -378,15 +380,15 @@ impl TaskReading {
 #[serde(default)]
 pub struct TrialResult {
     /// The initial body.
-    pub initial: BodyEvaluation,
+    pub initial: BodyRecord,
     /// The trained body.
-    pub optimised: BodyEvaluation,
+    pub optimised: BodyRecord,
     /// Outer step whose design has the least test error.
     pub best_step: u32,
     /// CPU seconds of the evaluations, including simulation; of one evaluation if training left the body unchanged.
     pub seconds_evaluation: f64,
     /// Counts of work of the evaluations.
-    pub counters: Counters,
+    pub counters: WorkCounts,
     /// Instruction set of the hot kernels: `avx512`, `avx2`, `baseline`.
     pub simd: String,
     /// The chosen integrator, and why.
@@ -394,17 +396,17 @@ pub struct TrialResult {
     /// Relative error of the signals of initial and trained body, if their pilots could measure it.
     pub signal_errors: [Option<f64>; 2],
     /// Units chosen by the sensor search; `None` if placements are random.
-    pub placed: Option<Placed>,
+    pub placed: Option<PlacedRecord>,
     /// Moves of sensors, only in older records: outer step before a move, and the new units.
     pub moves: Vec<(u32, Vec<usize>)>,
     /// Nonlinear share (%) of the accelerations and of the angular velocities, initial and trained body.
     pub nonlinear: [Option<[f64; 2]>; 2],
     /// Errors on casts of the initial and of the trained body.
-    pub casts: [Vec<CastReading>; 2],
+    pub casts: [Vec<CastRecord>; 2],
     /// Bands of both bodies and of their casts.
-    pub bands: [Vec<Band>; 2],
+    pub bands: [Vec<BandRecord>; 2],
     /// Errors of both bodies under other kinds of forces, if requested.
-    pub under: Vec<UnderReading>,
+    pub under: Vec<UnderRecord>,
     /// Errors of readouts of all tasks on both bodies, if requested.
     pub tasks: Vec<TaskReading>,
     /// Drawings (SVG) of the initial and of the trained body by an external body's program; empty: none.

@@ -32,7 +32,7 @@ pub struct Lease {
 
 /// Settings of a worker: the argument of the hidden subcommand, as JSON.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Start {
+pub struct WorkerStart {
     /// Root path of the worker's domain.
     pub root: String,
     /// Prefix of its shared-memory segments.
@@ -182,7 +182,7 @@ pub struct Services {
 
 /// End of a domain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum End {
+pub enum DomainEnd {
     /// Creates the services.
     Orchestrator,
     /// Opens the services.
@@ -192,7 +192,7 @@ pub enum End {
 impl Services {
     /// Creates or opens all services of a domain, given by its root path and the prefix of its segments. Clean-up of dead nodes
     /// is off, because a domain is removed as a whole. So are signal handling and log, whose messages concern killed processes.
-    pub fn new(root: &str, prefix: &str, end: End) -> Result<Self, LinkError> {
+    pub fn new(root: &str, prefix: &str, end: DomainEnd) -> Result<Self, LinkError> {
         set_log_level(LogLevel::Fatal);
         let naming = "naming the domain";
         let mut config = Config::default();
@@ -212,8 +212,8 @@ impl Services {
                 let name = ServiceName::new($name).map_err(LinkError::of("naming a service"))?;
                 let builder = node.service_builder(&name).$($builder)+.max_nodes(2);
                 match end {
-                    End::Orchestrator => builder.create().map_err(LinkError::of(concat!("creating ", $name))),
-                    End::Worker => builder.open().map_err(LinkError::of(concat!("opening ", $name))),
+                    DomainEnd::Orchestrator => builder.create().map_err(LinkError::of(concat!("creating ", $name))),
+                    DomainEnd::Worker => builder.open().map_err(LinkError::of(concat!("opening ", $name))),
                 }?
             }};
         }

@@ -386,7 +386,7 @@ sensors = [1]
     let names = ["square", "kagome", "triangular", "chiral"];
     let drawn = outlines.iter().flat_map(|outline| names.map(|name| (name, draw(outline, name))));
     let pictures: Vec<_> =
-        drawn.map(|(name, body)| body.picture(body::frame([&body]), name, body::Numbers::None)).collect();
+        drawn.map(|(name, body)| body.picture(body::frame([&body]), name, body::Numbering::None)).collect();
     let kinds = [("unit clamped", "held"), ("arrow", "force"), ("dot sensor", "sensor")];
     file(&pictures, names.len(), 900.0, &legend(&kinds))
 }

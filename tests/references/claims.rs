@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use metasense::analysis::claims::{CLAIMS, Evidence, claims_table, evidence_table, tried, tried_elsewhere};
 use metasense::analysis::numbers::distinct;
 use metasense::analysis::paired::iteration_ratio;
-use metasense::analysis::setting::Settings;
+use metasense::analysis::setting::SharedSettings;
 use metasense::analysis::{Cluster, Trial};
 use metasense::cell::plain;
 use metasense::look::{Table, file};
@@ -49,8 +49,8 @@ const ROWS: [&str; 5] =
 fn trials() -> Vec<Trial> {
     let rows: Vec<Row> = ROWS.iter().flat_map(|folder| rows(&format!("{folder}/trials.csv"))).collect();
     let by_hash: HashMap<&str, &Row> = rows.iter().map(|row| (row["hash"].as_str(), row)).collect();
-    let mut settings = Settings::default();
-    let mut trial = |of: metasense::plan::Trial| {
+    let mut settings = SharedSettings::default();
+    let mut trial = |of: metasense::plan::PlannedTrial| {
         let row = by_hash.get(&*of.hash).unwrap_or_else(|| panic!("no row of {}", of.hash));
         let number = |name: &str| row.get(name).and_then(|cell| cell.parse::<f64>().ok());
         let errors = |long: &str| {
@@ -94,7 +94,7 @@ fn found() -> &'static [Vec<Evidence>] {
 
 /// Evidence from the scenes of the paper's authors, without limits of the design, as theirs are.
 fn in_the_authors_scenes() -> Vec<Row> {
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     let rows = rows("authors/trials.csv");
     let trial = |row: &Row| {
         let (brain, noise) =

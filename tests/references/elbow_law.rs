@@ -1,6 +1,6 @@
 //! The number of sensors at which the fall of the error ends, compared with K / channels, rounded up.
 
-use metasense::analysis::decision::{Decision, Terms, decisions};
+use metasense::analysis::decision::{Decision, DecisionTerms, decisions};
 use metasense::analysis::{Cluster, ErrorScale, Observation, elbow};
 use metasense::look::file;
 use metasense::look::grid::{Cell, grid};
@@ -29,7 +29,7 @@ fn by_elbow(curve: &[Observation], height: ErrorScale) -> Votes {
 }
 
 fn fall(curve: &[Observation], part: f64) -> Decision {
-    decisions(curve, Terms { fall: part, ..Terms::default() }).unwrap().fall
+    decisions(curve, DecisionTerms { fall: part, ..DecisionTerms::default() }).unwrap().fall
 }
 
 /// Votes for the M at which 90 % of the fall are reached.

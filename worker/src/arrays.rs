@@ -122,7 +122,7 @@ impl Arrays {
 
 /// Size of the arrays of a result (bytes).
 fn bytes(result: &TrialResult) -> usize {
-    let body = |evaluation: &metasense_schemas::record::BodyEvaluation| {
+    let body = |evaluation: &metasense_schemas::record::BodyRecord| {
         let networks = evaluation.networks.iter().chain(&evaluation.long);
         let networks = networks.map(|n| 4 * (n.losses.len() + n.weights.len()));
         8 * evaluation.design.len() + networks.sum::<usize>()

@@ -7,8 +7,9 @@ use metasense_numerics::dynamics;
 use metasense_numerics::nested::{self, Best, CastDecoder, PastDesign, State};
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
-    self, BodyEvaluation, CastReading, Checkpoint, Comparison, Counters, ImplicitRecord, Moments,
-    NetworkEvaluation, Placed, Reading, Seconds, Spread, StepRecord, TaskReading, Training, UnderReading,
+    self, BodyRecord, CastRecord, Checkpoint, ComparisonProgress, ImplicitRecord, Moments, NetworkInTraining,
+    NetworkRecord, PlacedRecord, ReadingRecord, SpreadRecord, StepRecord, StepSeconds, TaskReading,
+    UnderRecord, WorkCounts,
 };
 use metasense_schemas::spec::TrialSpec;
 
@@ -45,8 +46,8 @@ pub fn step_record(report: &nested::Report) -> StepRecord {
 }
 
 /// Counts of computations.
-pub fn counters(counters: &trial::Counters) -> Counters {
-    Counters {
+pub fn counters(counters: &trial::Counters) -> WorkCounts {
+    WorkCounts {
         force_evaluations: counters.dynamics.force_evaluations,
         steps: counters.dynamics.steps,
         rejected: counters.dynamics.rejected,
@@ -56,25 +57,25 @@ pub fn counters(counters: &trial::Counters) -> Counters {
     }
 }
 
-fn seconds(seconds: &nested::Seconds) -> Seconds {
+fn seconds(seconds: &nested::Seconds) -> StepSeconds {
     let &nested::Seconds { simulate, train, differentiate, implicit, project } = seconds;
-    Seconds { simulate, train, differentiate, implicit, project, store: 0.0 }
+    StepSeconds { simulate, train, differentiate, implicit, project, store: 0.0 }
 }
 
-fn spread(spread: trial::Spread) -> Spread {
+fn spread(spread: trial::Spread) -> SpreadRecord {
     let trial::Spread { median, p90, above } = spread;
-    Spread { median: finite(Some(median)), p90: finite(Some(p90)), above }
+    SpreadRecord { median: finite(Some(median)), p90: finite(Some(p90)), above }
 }
 
 /// The inverse of [`spread`].
-fn spread_of(spread: Spread) -> trial::Spread {
+fn spread_of(spread: SpreadRecord) -> trial::Spread {
     let known = |value: Option<f64>| value.unwrap_or(f64::INFINITY);
     trial::Spread { median: known(spread.median), p90: known(spread.p90), above: spread.above }
 }
 
 /// Stored form of a body's evaluation.
-pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
-    let network = |network: nested::NetworkEvaluation| NetworkEvaluation {
+pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyRecord {
+    let network = |network: nested::NetworkEvaluation| NetworkRecord {
         error_train: finite(network.error_train),
         error_test: finite(network.error_test),
         error_holdout: finite(network.error_holdout),
@@ -84,7 +85,7 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
         outcome: network.trouble.map_or("ok", |trouble| trouble.name()).into(),
         spread: network.spread.map(spread),
     };
-    BodyEvaluation {
+    BodyRecord {
         design: body.design,
         networks: body.networks.into_iter().map(network).collect(),
         long: body.long.into_iter().map(network).collect(),
@@ -94,9 +95,9 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
 }
 
 /// Result of a sensor search.
-pub fn placed(placed: metasense_numerics::place::Placed) -> Placed {
+pub fn placed(placed: metasense_numerics::place::Placed) -> PlacedRecord {
     let (runner_up, runner_up_error) = placed.runner_up.unzip();
-    Placed {
+    PlacedRecord {
         units: placed.units,
         errors: placed.errors,
         runner_up: runner_up.unwrap_or_default(),
@@ -106,8 +107,8 @@ pub fn placed(placed: metasense_numerics::place::Placed) -> Placed {
     }
 }
 
-fn reading(reading: &brains::Reading) -> Reading {
-    Reading {
+fn reading(reading: &brains::Reading) -> ReadingRecord {
+    ReadingRecord {
         before: reading.lags.before as u32,
         after: reading.lags.after as u32,
         ridge: reading.ridge,
@@ -122,7 +123,8 @@ fn reading(reading: &brains::Reading) -> Reading {
 pub fn checkpoint(state: &State) -> Checkpoint {
     let State { step, rate_factor: caution, consecutive_undone: setbacks, trend, .. } = *state;
     let DecoderState { weights, adam, ridge } = &state.decoder_state;
-    let best = |best: &Best| record::Best { design: best.design.clone(), error: best.error, step: best.step };
+    let best =
+        |best: &Best| record::BestDesign { design: best.design.clone(), error: best.error, step: best.step };
     let waypoint = |w: &PastDesign| record::Waypoint { step: w.step, design: w.design.clone() };
     Checkpoint {
         step,
@@ -150,10 +152,10 @@ fn brain_of_cast(reader: &str, records: u32) -> Result<CastDecoder, String> {
 }
 
 /// Prediction bands of a body and its casts.
-pub fn bands(bands: &[nested::BandCoverage]) -> Vec<record::Band> {
+pub fn bands(bands: &[nested::BandCoverage]) -> Vec<record::BandRecord> {
     let band = |nested::BandCoverage { cast, band, width, coverage }: &nested::BandCoverage| {
         let (reader, records) = cast.map_or(("own", 0), |(_, by)| (by.name(), by.records().unwrap_or(0)));
-        record::Band {
+        record::BandRecord {
             reader: reader.into(),
             records,
             cast: cast.map(|(cast, _)| cast),
@@ -175,8 +177,8 @@ pub fn bands(bands: &[nested::BandCoverage]) -> Vec<record::Band> {
 }
 
 /// The inverse of [`bands`].
-fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandCoverage>, String> {
-    let reading = |band: &record::Band| {
+fn banded(bands: &[record::BandRecord]) -> Result<Vec<nested::BandCoverage>, String> {
+    let reading = |band: &record::BandRecord| {
         let cast = band
             .cast
             .map(|cast| Ok::<_, String>((cast, brain_of_cast(&band.reader, band.records)?)))
@@ -195,8 +197,8 @@ fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandCoverage>, String> {
 }
 
 /// Errors on the casts of a body.
-pub fn cast_readings(casts: &[nested::CastEvaluation]) -> Vec<CastReading> {
-    let reading = |reading: &nested::CastEvaluation| CastReading {
+pub fn cast_readings(casts: &[nested::CastEvaluation]) -> Vec<CastRecord> {
+    let reading = |reading: &nested::CastEvaluation| CastRecord {
         cast: reading.cast,
         reader: reading.decoder.name().into(),
         records: reading.decoder.records().unwrap_or(0),
@@ -210,11 +212,11 @@ pub fn cast_readings(casts: &[nested::CastEvaluation]) -> Vec<CastReading> {
 }
 
 /// Errors of both bodies under the further kinds of forces of the trial.
-pub fn under_readings(trial: &TrialSpec, under: &[Vec<nested::UnderReading>; 2]) -> Vec<UnderReading> {
+pub fn under_readings(trial: &TrialSpec, under: &[Vec<nested::UnderReading>; 2]) -> Vec<UnderRecord> {
     let kinds: Vec<_> = trial.evaluation.under.iter().flatten().map(|part| part.kind.name()).collect();
     let bodies = ["initial", "optimised"].into_iter().zip(under);
     let all = bodies.flat_map(|(body, readings)| readings.iter().map(move |reading| (body, reading)));
-    all.map(|(body, reading)| UnderReading {
+    all.map(|(body, reading)| UnderRecord {
         body: body.into(),
         stimuli: kinds[reading.kind].into(),
         reader: if reading.own { "own" } else { "carried" }.into(),
@@ -248,11 +250,11 @@ pub fn task_readings(body: usize, found: &[brains::TaskEstimate]) -> Vec<TaskRea
 }
 
 /// The inverse of [`cast_readings`].
-fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastEvaluation>, String> {
-    let reading = |reading: &CastReading| {
+fn casts_read(casts: &[CastRecord]) -> Result<Vec<nested::CastEvaluation>, String> {
+    let reading = |reading: &CastRecord| {
         let by = brain_of_cast(&reading.reader, reading.records)?;
         let trouble = trouble(&reading.outcome)?;
-        let &CastReading { cast, error, spread, ridge, share, .. } = reading;
+        let &CastRecord { cast, error, spread, ridge, share, .. } = reading;
         let (spread, regularisation) =
             (spread.map(spread_of), nested::Regularisation { ridge, kappa: share });
         Ok(nested::CastEvaluation { cast, decoder: by, error, spread, regularisation, trouble })
@@ -278,14 +280,14 @@ fn adam<T>(moments: Moments<T>) -> Adam<T> {
     Adam { m: moments.first, v: moments.second, t: moments.steps }
 }
 
-fn comparison(comparison: &nested::Comparison) -> Comparison {
-    let training = |fresh: &NetworkTraining| Training {
+fn comparison(comparison: &nested::Comparison) -> ComparisonProgress {
+    let training = |fresh: &NetworkTraining| NetworkInTraining {
         weights: fresh.weights.clone(),
         moments: moments(&fresh.adam),
         losses: fresh.losses.clone(),
         errors: fresh.errors.clone(),
     };
-    Comparison {
+    ComparisonProgress {
         bodies: comparison.bodies.iter().cloned().map(body_evaluation).collect(),
         training: comparison.training.as_ref().map(training),
         counters: counters(&comparison.counters),
@@ -328,22 +330,23 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
 }
 
 /// The inverse of [`comparison`].
-fn comparison_from(comparison: Comparison, problem: &Problem) -> Result<nested::Comparison, String> {
-    let Comparison { bodies, training, counters, seconds } = comparison;
+fn comparison_from(comparison: ComparisonProgress, problem: &Problem) -> Result<nested::Comparison, String> {
+    let ComparisonProgress { bodies, training, counters, seconds } = comparison;
     let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
-    let of_design = |body: &BodyEvaluation| body.design.len() == parameters;
-    let of_network =
-        |t: &Training| [&t.weights, &t.moments.first, &t.moments.second].iter().all(|w| w.len() == weights);
+    let of_design = |body: &BodyRecord| body.design.len() == parameters;
+    let of_network = |t: &NetworkInTraining| {
+        [&t.weights, &t.moments.first, &t.moments.second].iter().all(|w| w.len() == weights)
+    };
     if bodies.len() > 2 || !bodies.iter().all(of_design) || !training.iter().all(of_network) {
         return Err(format!(
             "the checkpoint's comparison does not have {parameters} design parameters and {weights} weights"
         ));
     }
-    let fresh = |training: Training| {
-        let Training { weights, moments, losses, errors } = training;
+    let fresh = |training: NetworkInTraining| {
+        let NetworkInTraining { weights, moments, losses, errors } = training;
         NetworkTraining { weights, adam: adam(moments), losses, errors }
     };
-    let Seconds { simulate, train, differentiate, implicit, project, .. } = seconds;
+    let StepSeconds { simulate, train, differentiate, implicit, project, .. } = seconds;
     Ok(nested::Comparison {
         bodies: bodies.into_iter().map(evaluation_from).collect::<Result<_, _>>()?,
         casts: Vec::new(),
@@ -351,7 +354,7 @@ fn comparison_from(comparison: Comparison, problem: &Problem) -> Result<nested::
         tasks: Vec::new(),
         training: training.map(fresh),
         counters: trial::Counters {
-            dynamics: dynamics::Counters {
+            dynamics: dynamics::SimulationCounts {
                 force_evaluations: counters.force_evaluations,
                 steps: counters.steps,
                 rejected: counters.rejected,
@@ -365,11 +368,11 @@ fn comparison_from(comparison: Comparison, problem: &Problem) -> Result<nested::
 }
 
 /// The inverse of [`body_evaluation`].
-fn evaluation_from(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
-    let network = |network: NetworkEvaluation| {
+fn evaluation_from(body: BodyRecord) -> Result<nested::BodyEvaluation, String> {
+    let network = |network: NetworkRecord| {
         let trouble = trouble(&network.outcome)?;
-        let NetworkEvaluation { error_train, error_test, error_holdout, spread, .. } = network;
-        let NetworkEvaluation { losses, errors, weights, .. } = network;
+        let NetworkRecord { error_train, error_test, error_holdout, spread, .. } = network;
+        let NetworkRecord { losses, errors, weights, .. } = network;
         let network = nested::NetworkEvaluation {
             error_train,
             error_test,
@@ -382,8 +385,8 @@ fn evaluation_from(body: BodyEvaluation) -> Result<nested::BodyEvaluation, Strin
         };
         Ok(network)
     };
-    let reading = |reading: Reading| {
-        let Reading { before, after, ridge, error_train, error_test, error_holdout, spread } = reading;
+    let reading = |reading: ReadingRecord| {
+        let ReadingRecord { before, after, ridge, error_train, error_test, error_holdout, spread } = reading;
         let lags = Lags { before: before as usize, after: after as usize };
         let spread = spread.map(spread_of);
         brains::Reading { lags, ridge, error_train, error_test, error_holdout, spread }

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 pub use metasense_numerics::body::{Layout, Pattern};
 pub use metasense_numerics::feasible::{
-    Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation, overlaps,
+    Active, FeasibleSet, Limits, Projection, Stage, Status, Violation, ViolationKind, overlaps,
 };
 pub use metasense_numerics::random::{Purpose, Stream};
 
 use metasense_schemas::spec::Signal;
 
-use crate::files::{self, Array, Form, Table};
+use crate::files::{self, Array, ColumnTable, Form};
 
 /// Largest difference between the shifts of the two ends of a ligament in a CSV of nodes (mm).
 const AGREE: f64 = 1e-6;
@@ -109,7 +109,7 @@ fn to_csv(layout: &Layout, design: &[f64]) -> String {
 
 fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
     let names = ["unit", "node", "x", "y"].map(|name| Signal::Name(name.into()));
-    let table = Table::parse(bytes, &Form { read: Some(names.iter().collect()), ..Form::default() })
+    let table = ColumnTable::parse(bytes, &Form { read: Some(names.iter().collect()), ..Form::default() })
         .map_err(|what| format!("{what} (a design has the columns unit, node, x, y)"))?;
     let [units, nodes, xs, ys] =
         names.each_ref().map(|name| table.column(name).map(|column| table.values(column)));

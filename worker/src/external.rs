@@ -12,10 +12,12 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use metasense_numerics::body::Freedom;
-use metasense_numerics::dynamics::{Counters, Forces, Outcome, Scene, Solver};
+use metasense_numerics::dynamics::{Forces, IntegratorSettings, Outcome, Scene, SimulationCounts};
 use metasense_numerics::feasible::{Castable, LinearLimits, LinearRow, Projection, Status, distance};
 use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::trial::{Body, Fault, Motion, Pilot, Problem, Run, Tape};
+use metasense_numerics::trial::{
+    BodyFailure, BodyModel, BodyTape, Pilot, Problem, SimulationInput, SimulationOutput,
+};
 use metasense_numerics::{Heartbeat, Pool};
 use metasense_schemas::reason::BodyFault;
 use metasense_schemas::spec::{self, Description};
@@ -56,7 +58,7 @@ fn duration(time_limit: Option<f64>) -> Duration {
 }
 
 /// The kind of a fault.
-pub(crate) fn named(fault: &Fault) -> BodyFault {
+pub(crate) fn named(fault: &BodyFailure) -> BodyFault {
     BodyFault::ALL.iter().find(|known| known.name() == fault.name).copied().unwrap_or(BodyFault::Invalid)
 }
 
@@ -64,7 +66,7 @@ pub(crate) fn named(fault: &Fault) -> BodyFault {
 ///
 /// # Errors
 /// If the program cannot be started, does not answer, or returns an invalid description.
-pub fn describe(command: &[String], time_limit: Option<f64>) -> Result<Description, Fault> {
+pub fn describe(command: &[String], time_limit: Option<f64>) -> Result<Description, BodyFailure> {
     let mut process = process();
     Ok(Process::of(&mut process, command, duration(time_limit))?.description.clone())
 }
@@ -97,14 +99,14 @@ struct Shared {
     command: Vec<String>,
     limit: Duration,
     described: Description,
-    fault: OnceLock<Fault>,
+    fault: OnceLock<BodyFailure>,
     /// Whether repeatability has been checked.
     tried: AtomicBool,
 }
 
 /// Input of a simulation.
 #[derive(Debug, Clone, Copy)]
-pub struct Question<'a> {
+pub struct SimulationRequest<'a> {
     /// Panels, sensors and clock.
     pub scene: &'a Scene,
     /// α, the design.
@@ -115,7 +117,7 @@ pub struct Question<'a> {
     pub tolerance: f64,
 }
 
-impl Question<'_> {
+impl SimulationRequest<'_> {
     fn request(&self, call: &str) -> Value {
         let Self { scene, tolerance, .. } = self;
         let panels: Vec<usize> = scene.panels.iter().map(|panel| panel.unit).collect();
@@ -142,12 +144,12 @@ impl External {
         }))
     }
 
-    fn fault(&self, kind: BodyFault, what: &str) -> Fault {
-        Fault { name: kind.name(), detail: format!("{}: {what}", self.0.command.join(" ")) }
+    fn fault(&self, kind: BodyFault, what: &str) -> BodyFailure {
+        BodyFailure { name: kind.name(), detail: format!("{}: {what}", self.0.command.join(" ")) }
     }
 
     /// Records and returns the first fault, which invalidates all results.
-    fn failed(&self, fault: Fault) -> Fault {
+    fn failed(&self, fault: BodyFailure) -> BodyFailure {
         self.0.fault.get_or_init(|| fault).clone()
     }
 
@@ -158,7 +160,7 @@ impl External {
         arrays: &[Array],
         output: (&str, &[usize]),
         heartbeat: &Heartbeat,
-    ) -> Result<(Value, Vec<f64>), Fault> {
+    ) -> Result<(Value, Vec<f64>), BodyFailure> {
         if let Some(fault) = self.failure() {
             return Err(fault);
         }
@@ -188,7 +190,7 @@ impl External {
         found.map_err(|fault| self.failed(fault))
     }
 
-    fn shape(&self, Question { scene, forces, .. }: &Question) -> [usize; 4] {
+    fn shape(&self, SimulationRequest { scene, forces, .. }: &SimulationRequest) -> [usize; 4] {
         [forces.samples, scene.instants, scene.sensors.len(), self.channels()]
     }
 
@@ -196,7 +198,11 @@ impl External {
     ///
     /// # Errors
     /// If the process fails; all later calls then fail, too.
-    pub fn apply(&self, question: &Question, heartbeat: &Heartbeat) -> Result<Vec<f64>, Fault> {
+    pub fn apply(
+        &self,
+        question: &SimulationRequest,
+        heartbeat: &Heartbeat,
+    ) -> Result<Vec<f64>, BodyFailure> {
         let (request, output) = (question.request("apply"), self.shape(question));
         Ok(self.ask(&request, &question.arrays(), ("signals", &output), heartbeat)?.1)
     }
@@ -207,10 +213,10 @@ impl External {
     /// As `apply`.
     pub fn vjp(
         &self,
-        question: &Question,
+        question: &SimulationRequest,
         cotangent: &[f64],
         heartbeat: &Heartbeat,
-    ) -> Result<Vec<f64>, Fault> {
+    ) -> Result<Vec<f64>, BodyFailure> {
         let mut arrays = question.arrays();
         arrays.push(Array::new("cotangent", &self.shape(question), cotangent));
         let output = ("gradient", &[question.design.len()][..]);
@@ -221,7 +227,7 @@ impl External {
     ///
     /// # Errors
     /// As `apply`, or if the answer contains no drawing.
-    pub fn draw(&self, design: &[f64]) -> Result<String, Fault> {
+    pub fn draw(&self, design: &[f64]) -> Result<String, BodyFailure> {
         let arrays = [Array::new("alpha", &[design.len()], design)];
         let (answer, _) = self.ask(&json!({ "call": "draw" }), &arrays, ("", &[]), &Heartbeat::default())?;
         let svg = answer["svg"].as_str().map(str::to_owned);
@@ -232,7 +238,11 @@ impl External {
     ///
     /// # Errors
     /// As `apply`, or if a call returns other values.
-    pub fn check_repeats(&self, question: &Question, heartbeat: &Heartbeat) -> Result<(), Fault> {
+    pub fn check_repeats(
+        &self,
+        question: &SimulationRequest,
+        heartbeat: &Heartbeat,
+    ) -> Result<(), BodyFailure> {
         let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         let signals = self.apply(question, heartbeat)?;
         let finite: Vec<f64> = signals.iter().map(|x| if x.is_finite() { *x } else { 0.0 }).collect();
@@ -250,26 +260,33 @@ impl External {
     }
 }
 
-impl Body for External {
+impl BodyModel for External {
     fn channels(&self) -> usize {
         self.0.described.channels.len()
     }
 
     /// Checks repeatability once per trial: without it, trials can be neither resumed nor compared.
-    fn pilot(&self, scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &Pool) -> Pilot {
+    fn pilot(
+        &self,
+        scene: &Scene,
+        design: &[f64],
+        forces: &Forces,
+        solver: &IntegratorSettings,
+        pool: &Pool,
+    ) -> Pilot {
         if !self.0.tried.swap(true, Ordering::Relaxed) {
-            let question = Question { scene, design, forces, tolerance: solver.accuracy.0 };
+            let question = SimulationRequest { scene, design, forces, tolerance: solver.accuracy.0 };
             // `failure` returns the fault
             let _ = self.check_repeats(&question, pool.heartbeat());
         }
         let Description { name, version, .. } = &self.0.described;
         let reason = format!("external body {name} {version}").trim_end().to_owned();
-        Pilot { solver: *solver, reason, error: None, counters: Counters::default() }
+        Pilot { solver: *solver, reason, error: None, counters: SimulationCounts::default() }
     }
 
-    fn simulate(&self, scene: &Scene, run: &Run, pool: &Pool) -> Motion {
-        let Run { design, forces, solver, .. } = *run;
-        let question = Question { scene, design, forces, tolerance: solver.accuracy.0 };
+    fn simulate(&self, scene: &Scene, run: &SimulationInput, pool: &Pool) -> SimulationOutput {
+        let SimulationInput { design, forces, solver, .. } = *run;
+        let question = SimulationRequest { scene, design, forces, tolerance: solver.accuracy.0 };
         let one = scene.instants * scene.sensors.len() * self.channels();
         let found = self.apply(&question, pool.heartbeat());
         let mut signals = found.unwrap_or_else(|_| vec![f64::NAN; forces.samples * one]);
@@ -286,7 +303,7 @@ impl Body for External {
         let (body, scene, design) = (self.clone(), scene.clone(), design.to_vec());
         let forces = forces.select(&well);
         let call = Call { body, scene, design, forces, tolerance: question.tolerance, well };
-        Motion { signals, outcomes, counters: Counters::default(), tape: Box::new(call) }
+        SimulationOutput { signals, outcomes, counters: SimulationCounts::default(), tape: Box::new(call) }
     }
 
     fn freedom(&self, problem: &Problem) -> Freedom {
@@ -302,7 +319,7 @@ impl Body for External {
         (svg.len() <= DRAWING).then_some(svg)
     }
 
-    fn failure(&self) -> Option<Fault> {
+    fn failure(&self) -> Option<BodyFailure> {
         self.0.fault.get().cloned()
     }
 }
@@ -318,15 +335,15 @@ struct Call {
     well: Vec<usize>,
 }
 
-impl Tape for Call {
-    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, Counters) {
+impl BodyTape for Call {
+    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, SimulationCounts) {
         let Self { body, scene, design, forces, tolerance, well } = self;
         let one = scene.instants * scene.sensors.len() * body.channels();
         let mut own = Vec::with_capacity(well.len() * one);
         well.iter().for_each(|i| own.extend_from_slice(&cotangent[i * one..][..one]));
-        let question = Question { scene, design, forces, tolerance: *tolerance };
+        let question = SimulationRequest { scene, design, forces, tolerance: *tolerance };
         let found = body.vjp(&question, &own, pool.heartbeat());
-        (found.unwrap_or_else(|_| vec![f64::NAN; design.len()]), Counters::default())
+        (found.unwrap_or_else(|_| vec![f64::NAN; design.len()]), SimulationCounts::default())
     }
 }
 

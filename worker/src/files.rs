@@ -14,7 +14,7 @@ use zip::ZipArchive;
 
 mod table;
 
-pub use table::{Form, Table};
+pub use table::{ColumnTable, Form};
 
 /// Largest accepted file, or array of an archive (bytes).
 const LARGEST: u64 = 4 << 30;
@@ -108,7 +108,7 @@ pub fn npy_values<T: Deserialize>(bytes: &[u8]) -> io::Result<Vec<T>> {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
     /// A CSV file.
-    Table(Table),
+    Table(ColumnTable),
     /// An NPY file.
     Array(Array),
     /// Arrays of an NPZ file by name: `None` if `Form::read` excludes it, an error if it contains no numbers.
@@ -121,7 +121,7 @@ pub enum Content {
 /// Describes the fault and its location.
 pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String> {
     match ending(path).as_str() {
-        "csv" => Table::parse(bytes, form).map(Content::Table),
+        "csv" => ColumnTable::parse(bytes, form).map(Content::Table),
         "npy" => array(bytes).map(Content::Array),
         "npz" => archive(bytes, form).map(Content::Archive),
         _ => {

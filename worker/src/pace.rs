@@ -5,7 +5,7 @@ use crate::reference::reference;
 use crate::simd::width;
 use metasense_numerics::brain::linear::factor;
 use metasense_numerics::brain::{Architecture, Data, Shape, Workspace, initial_weights, loss_gradient};
-use metasense_numerics::dynamics::{Forces, Method, Plan, Scene, run};
+use metasense_numerics::dynamics::{Forces, IntegrationPlan, Integrator, Scene, run};
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::{Heartbeat, Pool};
 use std::sync::OnceLock;
@@ -65,7 +65,7 @@ fn evaluations() -> f64 {
     let values = vec![FORCE; SAMPLES * panels * (INSTANTS + 1)];
     let forces = Forces { samples: SAMPLES, panels, instants: INSTANTS, values, strikes: Vec::new() };
     let design = scene.layout.initial_design(25f64.to_radians());
-    let (plan, pool) = (Plan::equal(Method::Nystrom6, STEPS), pool());
+    let (plan, pool) = (IntegrationPlan::equal(Integrator::Nystrom6, STEPS), pool());
     let mut evaluations = 0;
     let seconds = seconds(|| {
         evaluations = run(&scene, &design, &forces, &plan, false, &pool).counters.force_evaluations;

@@ -6,17 +6,18 @@
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
-use metasense_numerics::brains::{RECORDS_MIN, Task, Tasks, fits};
+use metasense_numerics::brains::{RECORDS_MIN, SensingTask, Tasks, fits};
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Method, PartFactors, Scene, Solver, Stiffness,
+    AccelerationFrame, Accuracy, EdgeContact, Forces, Integrator, IntegratorSettings, LigamentStiffness,
+    PartFactors, Scene,
 };
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
-    Body, BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule,
-    Training,
+    BodyModel, Decoder, DecoderKind, FinalComparison, Normalisation, OuterLoop, Placing, Problem,
+    RateSchedule, RidgeChoice, ScenePolygons, Training,
 };
-use metasense_schemas::spec::{self, Point, TrialSpec};
+use metasense_schemas::spec::{self, SweepPoint, TrialSpec};
 use std::sync::Arc;
 
 mod body;
@@ -34,7 +35,7 @@ pub use body::{
 };
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::dynamics::Panel;
-pub use metasense_numerics::material::{Ligament, shore_a};
+pub use metasense_numerics::material::{LigamentMaterial, shore_a};
 pub use metasense_numerics::nested::INVERTED_PER_CAST;
 
 use body::{build_panels, check_castable};
@@ -97,8 +98,8 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             architecture: architecture(trial)?,
             scaling: scaling(trial)?,
         },
-        optimise: Optimise {
-            brain: if trial.optimise.linear() { BrainKind::Linear } else { BrainKind::Network },
+        optimise: OuterLoop {
+            brain: if trial.optimise.linear() { DecoderKind::Linear } else { DecoderKind::Network },
             protocol: protocol(&trial.optimise)?,
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
@@ -106,11 +107,11 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             coarse: coarse.as_ref().filter(|_| coarsens).map(solver),
             casting: casting(trial)?,
         },
-        evaluation: Evaluation {
+        evaluation: FinalComparison {
             seeds: trial.evaluation.networks(),
             schedule: match trial.evaluation.schedule {
-                spec::Schedule::Cosine => Schedule::Cosine,
-                spec::Schedule::Constant => Schedule::Constant,
+                spec::Schedule::Cosine => RateSchedule::Cosine,
+                spec::Schedule::Constant => RateSchedule::Constant,
             },
             batch: trial.evaluation.batch,
             long: trial.evaluation.long_iterations,
@@ -155,7 +156,7 @@ pub fn varied_tasks(trial: &TrialSpec) -> Result<Vec<&'static str>, Invalid> {
 }
 
 /// The tasks whose labels vary among the training samples.
-fn varied(problem: &Problem) -> Vec<Task> {
+fn varied(problem: &Problem) -> Vec<SensingTask> {
     let ([train, _], [parts, ..]) = (problem.training_and_test(), problem.parts());
     problem.labeller().varied(&problem.targets(&train), &parts, problem.scene.instants)
 }
@@ -172,7 +173,7 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
         return Ok(Tasks { window, ..Tasks::default() });
     }
     // none: all of them
-    let task = Task::ALL.into_iter().find(|task| task.name().0 == trial.brain.task.name());
+    let task = SensingTask::ALL.into_iter().find(|task| task.name().0 == trial.brain.task.name());
     let check =
         |holds: bool, remedy: &str| require(holds, "brain.task", as_written(&trial.brain.task), remedy);
     let linear = trial.brain.kind == spec::BrainKind::Linear && trial.optimise.linear();
@@ -182,12 +183,12 @@ fn tasks(trial: &TrialSpec, problem: &Problem) -> Result<Tasks, Invalid> {
     if let Some(batch) = trial.optimise.batch {
         at_least("optimise.batch", batch, RECORDS_MIN)?;
     }
-    let contact = window.is_some() && task == Some(Task::Onset);
+    let contact = window.is_some() && task == Some(SensingTask::Onset);
     check(!contact, "the contact gives the onset: remove brain.window, or choose another task")?;
     let mut varied = varied(problem);
     varied.retain(|varied| match task {
         Some(task) => *varied == task,
-        None => *varied != Task::Kind && (window.is_none() || *varied != Task::Onset),
+        None => *varied != SensingTask::Kind && (window.is_none() || *varied != SensingTask::Onset),
     });
     let remedy = "the label is the same in all training samples: vary [stimuli] (stimuli.silent varies the number of struck \
                   panels, stimuli.kind = \"mix\" the kind), or choose another task; with brain.window, onsets do not count";
@@ -209,7 +210,7 @@ fn window(trial: &TrialSpec) -> Result<Option<usize>, Invalid> {
 
 /// The part of a problem that its body gives.
 struct OfBody {
-    body: Arc<dyn Body>,
+    body: Arc<dyn BodyModel>,
     scene: Scene,
     limits: Limits,
     initial: Vec<f64>,
@@ -226,7 +227,7 @@ fn parts(trial: &TrialSpec) -> Result<OfBody, Invalid> {
     let relative_to = relative_to(trial, &layout, limits)?;
     check_castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout, material)?;
-    Ok(OfBody { body: Arc::new(Polygons), scene, limits, initial, relative_to })
+    Ok(OfBody { body: Arc::new(ScenePolygons), scene, limits, initial, relative_to })
 }
 
 /// Design of the body to whose signals relative noise refers, if it is not the initial body.
@@ -269,13 +270,13 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
 }
 
 /// Normalisation of the network's signals and forces. Extremes of the initial body cannot serve casts.
-fn scaling(trial: &TrialSpec) -> Result<Scaling, Invalid> {
+fn scaling(trial: &TrialSpec) -> Result<Normalisation, Invalid> {
     let extremes = trial.brain.scaling == spec::Scaling::MinMax;
     let casts = trial.variation.is_some() || trial.optimise.objective.is_some();
     let stacked = trial.brain.kind == spec::BrainKind::Stacked;
     let remedy = "must be \"rms\" with casts, an optimise.objective, or brain.kind = \"stacked\"";
     require(!(extremes && (casts || stacked)), "brain.scaling", "\"minmax\"", remedy)?;
-    Ok(if extremes { Scaling::Extremes } else { Scaling::Rms })
+    Ok(if extremes { Normalisation::Extremes } else { Normalisation::Rms })
 }
 
 /// The layers of the network.
@@ -318,27 +319,27 @@ fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
     require((1e-12..=0.5).contains(&tolerance), key, tolerance, "must lie in [1e-12, 0.5]")
 }
 
-fn solver(solver: &spec::Solver) -> Solver {
+fn solver(solver: &spec::Solver) -> IntegratorSettings {
     let method = match solver.method {
-        spec::Method::Auto => Method::Auto,
-        spec::Method::Tsit5 => Method::Tsit5,
-        spec::Method::Leapfrog => Method::Leapfrog,
-        spec::Method::Nystrom4 => Method::Nystrom4,
-        spec::Method::Nystrom6 => Method::Nystrom6,
+        spec::Method::Auto => Integrator::Auto,
+        spec::Method::Tsit5 => Integrator::Tsit5,
+        spec::Method::Leapfrog => Integrator::Leapfrog,
+        spec::Method::Nystrom4 => Integrator::Nystrom4,
+        spec::Method::Nystrom6 => Integrator::Nystrom6,
     };
-    Solver::new(method, Accuracy(solver.tolerance))
+    IntegratorSettings::new(method, Accuracy(solver.tolerance))
 }
 
 /// Greatest number of unknowns of a linear decoder: 3 GB and a minute per step.
 const UNKNOWNS_MAX: usize = 20_000;
 
 /// The numerics type of a decoder's kind.
-pub fn kind(kind: spec::BrainKind) -> BrainKind {
+pub fn kind(kind: spec::BrainKind) -> DecoderKind {
     match kind {
-        spec::BrainKind::Cnn => BrainKind::Network,
-        spec::BrainKind::Linear => BrainKind::Linear,
-        spec::BrainKind::Stacked => BrainKind::Stacked,
-        spec::BrainKind::Inverse => BrainKind::Inverse,
+        spec::BrainKind::Cnn => DecoderKind::Network,
+        spec::BrainKind::Linear => DecoderKind::Linear,
+        spec::BrainKind::Stacked => DecoderKind::Stacked,
+        spec::BrainKind::Inverse => DecoderKind::Inverse,
     }
 }
 
@@ -362,10 +363,10 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
         solvable(trial, lags)?;
     }
     let ridge = match trial.brain.ridge {
-        None | Some(spec::Ridge::Auto(_)) => Ridge::Auto,
+        None | Some(spec::Ridge::Auto(_)) => RidgeChoice::Auto,
         Some(spec::Ridge::Given(ridge)) => {
             not_negative("brain.ridge", ridge)?;
-            Ridge::Given(ridge)
+            RidgeChoice::Given(ridge)
         }
     };
     Ok(Decoder { lags, ridge })
@@ -437,7 +438,7 @@ pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
 fn scene(
     trial: &TrialSpec,
     layout: Layout,
-    (density, stiffness): (f64, Stiffness),
+    (density, stiffness): (f64, LigamentStiffness),
 ) -> Result<Scene, Invalid> {
     let body = &trial.body;
     if layout.rigid.contains(&true) {
@@ -482,7 +483,7 @@ fn scene(
             spec::Inertia::Design => None,
             spec::Inertia::Initial => Some(layout.initial_design(angle(body.initial_angle))),
         },
-        contact: body.contact.map(|c| Contact {
+        contact: body.contact.map(|c| EdgeContact {
             stiffness: c.stiffness,
             min_angle: angle(c.min_angle),
             cutoff_angle: angle(c.cutoff_angle),
@@ -496,8 +497,8 @@ fn scene(
         chip: inertia(&trial.sensors)?,
         mount: mount(&trial.sensors)?,
         frame: match trial.sensors.frame {
-            spec::Frame::World => Frame::World,
-            spec::Frame::Body => Frame::Body,
+            spec::Frame::World => AccelerationFrame::World,
+            spec::Frame::Body => AccelerationFrame::Body,
         },
         duration: trial.time.duration,
         instants: trial.time.samples,
@@ -531,7 +532,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let moves_as_prescribed = |unit: &usize| scene.clamped.contains(unit) || scene.is_driven(*unit);
     let may_carry = |unit: &usize| !(moves_as_prescribed(unit) || inside && !scene.layout.carriers[*unit]);
     let candidates: Vec<usize> = (0..scene.layout.units()).filter(may_carry).collect();
-    let Point { sensors, placement, .. } = trial.point;
+    let SweepPoint { sensors, placement, .. } = trial.point;
     let remedy =
         format!("the body has {} units on which sensors.search may place a sensor", candidates.len());
     require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;

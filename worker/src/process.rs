@@ -15,14 +15,14 @@ use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::wire::{
-    self, BackpressureStrategy, BeatSender, End, Lease, LinkError, MessageReceiver, MessageSender, Services,
-    Sleeper, Start, ToOrchestrator, ToWorker, Waker,
+    self, BackpressureStrategy, BeatSender, DomainEnd, Lease, LinkError, MessageReceiver, MessageSender,
+    Services, Sleeper, ToOrchestrator, ToWorker, Waker, WorkerStart,
 };
 use rustix::process;
 
 use crate::arrays::Arrays;
 use crate::limits::{Needs, check, check_file_size, explained, tells_of_shortage};
-use crate::run::{self, Control, Failure, Observe};
+use crate::run::{self, LoopControl, NoResult, ObserveTrial};
 use crate::simd;
 
 /// Exit code: the orchestrator has another build.
@@ -67,7 +67,7 @@ pub fn keep_memory() {
 
 /// Runs a job from a checkpoint, or from the start, on this many threads; the heartbeat counts its progress.
 pub type Perform =
-    fn(&str, Option<Checkpoint>, usize, Heartbeat, &mut dyn Observe) -> Result<TrialResult, Failure>;
+    fn(&str, Option<Checkpoint>, usize, Heartbeat, &mut dyn ObserveTrial) -> Result<TrialResult, NoResult>;
 
 /// `Perform` for trials: the job is a `TrialSpec` as JSON.
 ///
@@ -78,15 +78,16 @@ pub fn perform_trial(
     checkpoint: Option<Checkpoint>,
     threads: usize,
     heartbeat: Heartbeat,
-    observer: &mut dyn Observe,
-) -> Result<TrialResult, Failure> {
-    let trial: TrialSpec = serde_json::from_str(job).map_err(|error| Failure::Rejected(error.to_string()))?;
+    observer: &mut dyn ObserveTrial,
+) -> Result<TrialResult, NoResult> {
+    let trial: TrialSpec =
+        serde_json::from_str(job).map_err(|error| NoResult::Rejected(error.to_string()))?;
     run::run_trial(&trial, checkpoint, &run::pool_counting(threads, heartbeat)?, observer)
 }
 
 /// Runs the hidden subcommand; `start` is a `wire::Start` as JSON. Returns the exit code.
 pub fn run(start: &str, perform: Perform) -> i32 {
-    let start: Start = match serde_json::from_str(start) {
+    let start: WorkerStart = match serde_json::from_str(start) {
         Ok(start) => start,
         Err(error) => {
             complain(format_args!("worker: this subcommand is for the orchestrator alone: {error}"));
@@ -126,7 +127,7 @@ pub fn run(start: &str, perform: Perform) -> i32 {
 ///
 /// # Errors
 /// If the system cannot start a thread.
-fn bind_to_parent(start: &Start) -> std::io::Result<()> {
+fn bind_to_parent(start: &WorkerStart) -> std::io::Result<()> {
     // Failures of these calls are ignored: the trial can still run.
     let _ = process::set_parent_process_death_signal(Some(process::Signal::KILL));
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGXFSZ] {
@@ -163,8 +164,8 @@ struct Worker {
 }
 
 impl Worker {
-    fn connect(start: &Start, perform: Perform) -> Result<Self, LinkError> {
-        let services = Services::new(&start.root, &start.prefix, End::Worker)?;
+    fn connect(start: &WorkerStart, perform: Perform) -> Result<Self, LinkError> {
+        let services = Services::new(&start.root, &start.prefix, DomainEnd::Worker)?;
         let worker = Self {
             perform,
             down: Services::receiver(&services.down)?,
@@ -256,14 +257,14 @@ impl Worker {
         let failed = |reason, detail: String| ToOrchestrator::Failed(lease, reason, detail);
         let message = match ended {
             Ok(Ok(result)) => self.finished(lease, result)?,
-            Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped(lease),
-            Ok(Err(Failure::Shortage(detail))) => failed(Reason::Shortage, detail),
-            Ok(Err(Failure::Rejected(detail))) if tells_of_shortage(&detail) => {
+            Ok(Err(NoResult::Stopped)) => ToOrchestrator::Stopped(lease),
+            Ok(Err(NoResult::Shortage(detail))) => failed(Reason::Shortage, detail),
+            Ok(Err(NoResult::Rejected(detail))) if tells_of_shortage(&detail) => {
                 failed(Reason::Shortage, explained(&detail, &Needs::default()))
             }
-            Ok(Err(Failure::Rejected(detail))) => failed(Reason::Rejected, detail),
-            Ok(Err(Failure::Body { fault, detail })) => failed(Reason::Body(fault), detail),
-            Ok(Err(Failure::Numerical { cause, detail })) => failed(Reason::Numerical(cause), detail),
+            Ok(Err(NoResult::Rejected(detail))) => failed(Reason::Rejected, detail),
+            Ok(Err(NoResult::Body { fault, detail })) => failed(Reason::Body(fault), detail),
+            Ok(Err(NoResult::Numerical { cause, detail })) => failed(Reason::Numerical(cause), detail),
             Err(panic) => {
                 let text = panic.downcast_ref::<&str>().map(ToString::to_string);
                 let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
@@ -406,13 +407,13 @@ impl Reporter<'_> {
         }
     }
 
-    fn current_control(&self) -> Control {
-        if self.stop || self.link_error.is_some() { Control::Stop } else { Control::Continue }
+    fn current_control(&self) -> LoopControl {
+        if self.stop || self.link_error.is_some() { LoopControl::Stop } else { LoopControl::Continue }
     }
 }
 
-impl Observe for Reporter<'_> {
-    fn progress(&mut self) -> Control {
+impl ObserveTrial for Reporter<'_> {
+    fn progress(&mut self) -> LoopControl {
         if self.last_beat.is_none_or(|at| at.elapsed() >= BEAT) {
             self.last_beat = Some(Instant::now());
             self.beats.send();
@@ -421,7 +422,7 @@ impl Observe for Reporter<'_> {
         self.current_control()
     }
 
-    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> LoopControl {
         let (record, checkpoint) = (Box::new(record), Box::new(checkpoint));
         self.stop |= self.pause.is_some_and(|step| checkpoint.step >= step);
         self.tell(&ToOrchestrator::Step(self.lease, record, checkpoint));

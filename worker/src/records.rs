@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use metasense_numerics::dynamics::Forces;
-use metasense_numerics::stimuli::{REACH, Recorded, Source, anti_aliased_force, resample};
+use metasense_numerics::stimuli::{HistorySource, REACH, RecordedForces, anti_aliased_force, resample};
 use metasense_numerics::student::median;
-use metasense_numerics::trial::{Problem, Protocol};
+use metasense_numerics::trial::{Problem, TrainingProtocol};
 use metasense_schemas::spec::{self, Decimal, Resample, Separator, TrialSpec};
 
 use crate::files::{self, Content, Form};
@@ -66,7 +66,7 @@ pub(crate) fn load_records(
     trial: &TrialSpec,
     recorded: &spec::Recorded,
     instants: usize,
-) -> Result<Recorded, Invalid> {
+) -> Result<RecordedForces, Invalid> {
     check(recorded)?;
     let panels = trial.panel_units.len();
     let room = REACH * trial.time.duration / trial.time.samples as f64 - recorded.augment.shift[0].min(0.0);
@@ -102,7 +102,7 @@ pub(crate) fn load_records(
         .flatten()
         .collect();
     let held = records[0].values.len();
-    Ok(Recorded {
+    Ok(RecordedForces {
         histories: Arc::new(Forces {
             samples: records.len(),
             panels: held,
@@ -118,10 +118,10 @@ pub(crate) fn load_records(
 }
 
 /// Resamples a history: (history, start, dt, duration, instants).
-pub type Clock = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
+pub type Resampler = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
 
 /// The resampling function for forces.
-pub fn clock(kind: Resample) -> Clock {
+pub fn clock(kind: Resample) -> Resampler {
     match kind {
         Resample::Antialias => anti_aliased_force,
         Resample::Linear => resample,
@@ -145,11 +145,11 @@ pub fn check_records(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid
 /// Rejects records without any force, and two of the same force on the same panel: a copy would train and test the same decoder.
 fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
     let sources = std::iter::once(&problem.stimuli.source).chain(&problem.under);
-    let records = sources.flat_map(Source::parts).find_map(|part| match part {
-        Source::Recorded(records) => Some(records),
+    let records = sources.flat_map(HistorySource::parts).find_map(|part| match part {
+        HistorySource::Recorded(records) => Some(records),
         _ => None,
     });
-    let Some(Recorded { histories, struck, .. }) = records else { return Ok(()) };
+    let Some(RecordedForces { histories, struck, .. }) = records else { return Ok(()) };
     let remedy = "is 0 in all records: list the columns or arrays that contain the forces";
     let read = trial.stimuli.recorded.as_ref().and_then(|recorded| recorded.force.as_ref());
     let shown = read.map_or(String::new(), as_written);
@@ -183,14 +183,14 @@ pub fn fingerprint(values: &[f64]) -> blake3::Hash {
 
 /// Checks that shifted fresh samples, of `joint` or of a decoder for all casts, contain the whole force of their records.
 fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
-    if !matches!(problem.optimise.protocol, Protocol::Joint(_)) && problem.evaluation.casts == 0 {
+    if !matches!(problem.optimise.protocol, TrainingProtocol::Joint(_)) && problem.evaluation.casts == 0 {
         return Ok(());
     }
     let records = problem.stimuli.source.parts().into_iter().find_map(|part| match part {
-        Source::Recorded(records) => Some(records),
+        HistorySource::Recorded(records) => Some(records),
         _ => None,
     });
-    let Some(Recorded { histories, shift, .. }) = records else { return Ok(()) };
+    let Some(RecordedForces { histories, shift, .. }) = records else { return Ok(()) };
     let instants = |time: f64| (time * histories.instants as f64 / problem.scene.duration).round() as usize;
     let [early, late] = [instants(-shift[0]), instants(shift[1])];
     let peak = |values: &[f64]| values.iter().fold(0.0, |peak: f64, f| peak.max(f.abs()));

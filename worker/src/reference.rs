@@ -1,7 +1,7 @@
 //! The reference scene of `MODEL.md` and its forces, for speed measurements, benchmarks and checks.
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Forces, Panel, Scene, Stiffness};
+use metasense_numerics::dynamics::{Forces, LigamentStiffness, Panel, Scene};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::stimuli::{self, Bell};
 
@@ -10,7 +10,7 @@ pub fn reference() -> Scene {
     let layout = Layout::planar(6, 6, 15.0, 2.25);
     Scene {
         density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        stiffness: LigamentStiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         damping_ratio: 0.02,
         clamped: layout.bottom(),
         panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),

@@ -3,9 +3,9 @@
 use metasense_numerics::Heartbeat;
 pub use metasense_numerics::Pool;
 use metasense_numerics::nested::{self, Optimised, State};
-pub use metasense_numerics::nested::{Control, keeps_error};
+pub use metasense_numerics::nested::{LoopControl, keeps_error};
 use metasense_numerics::place::{self, Placed};
-use metasense_numerics::trial::{self, Body, Trial};
+use metasense_numerics::trial::{self, BodyModel, PreparedTrial};
 use metasense_schemas::reason::{BodyFault, Cause};
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
@@ -18,12 +18,12 @@ use crate::problem::problem;
 use crate::simd;
 
 /// Observer of a trial.
-pub trait Observe {
+pub trait ObserveTrial {
     /// Reports progress: before and after every simulation, training, gradient and projection, and at every iteration of the
     /// final comparison.
-    fn progress(&mut self) -> Control;
+    fn progress(&mut self) -> LoopControl;
     /// Reports a finished outer step, and the checkpoint after it.
-    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control;
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> LoopControl;
     /// Receives a checkpoint within the final comparison.
     fn save(&mut self, checkpoint: Checkpoint);
 }
@@ -31,7 +31,7 @@ pub trait Observe {
 /// Why a trial has no result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]
-pub enum Failure {
+pub enum NoResult {
     /// The observer requested a stop.
     #[error("stopped")]
     Stopped,
@@ -49,9 +49,9 @@ pub enum Failure {
     Shortage(String),
 }
 
-impl Failure {
+impl NoResult {
     /// The failure of an external body's process.
-    pub fn of_body(fault: trial::Fault) -> Self {
+    pub fn of_body(fault: trial::BodyFailure) -> Self {
         Self::Body { fault: external::named(&fault), detail: fault.detail }
     }
 }
@@ -64,20 +64,21 @@ pub fn run_trial(
     trial: &TrialSpec,
     checkpoint: Option<Checkpoint>,
     pool: &Pool,
-    observer: &mut dyn Observe,
-) -> Result<TrialResult, Failure> {
-    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+    observer: &mut dyn ObserveTrial,
+) -> Result<TrialResult, NoResult> {
+    let problem = problem(trial).map_err(|invalid| NoResult::Rejected(invalid.to_string()))?;
     let resume = match checkpoint {
         None => None,
-        Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
+        Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(NoResult::Rejected)?),
     };
     let (problem, placed) = place::placed(&problem, pool)?;
     let mut watch = Watch { observer, store: 0.0, body: &*problem.body };
-    let optimised = Trial::new(&problem, pool).and_then(|trial| nested::optimise(&trial, resume, &mut watch));
+    let optimised =
+        PreparedTrial::new(&problem, pool).and_then(|trial| nested::optimise(&trial, resume, &mut watch));
     if let Some(fault) = problem.body.failure() {
-        return Err(Failure::of_body(fault));
+        return Err(NoResult::of_body(fault));
     }
-    let optimised = optimised?.ok_or(Failure::Stopped)?;
+    let optimised = optimised?.ok_or(NoResult::Stopped)?;
     let designs = [&optimised.initial, &optimised.optimised].map(|body| &body.design);
     let drawings = designs.iter().map_while(|design| problem.body.svg(design)).collect();
     Ok(TrialResult { drawings, ..result(trial, optimised, placed, pool) })
@@ -88,7 +89,7 @@ const NO_FORCE: &str = "stimuli: no training sample has a force; check stimuli.o
 const FEW_FORCES: &str = "stimuli.samples: there must be two training samples or more whose forces differ; raise stimuli.samples, or \
                           lower stimuli.test";
 
-impl From<trial::Failure> for Failure {
+impl From<trial::Failure> for NoResult {
     fn from(failure: trial::Failure) -> Self {
         match failure.trouble() {
             trial::Trouble::NoForce => return Self::Rejected(NO_FORCE.to_owned()),
@@ -126,7 +127,7 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
 ///
 /// # Errors
 /// If the system cannot start them.
-pub fn pool(threads: usize) -> Result<Pool, Failure> {
+pub fn pool(threads: usize) -> Result<Pool, NoResult> {
     pool_counting(threads, Heartbeat::default())
 }
 
@@ -134,21 +135,21 @@ pub fn pool(threads: usize) -> Result<Pool, Failure> {
 ///
 /// # Errors
 /// If the system cannot start them.
-pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, Failure> {
+pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, NoResult> {
     Pool::with(threads.max(1), simd::width(), heartbeat).map_err(|error| {
         let needs = Needs { threads: threads as u32, ..Needs::default() };
-        Failure::Shortage(explained(&format!("{threads} threads cannot be started: {error}"), &needs))
+        NoResult::Shortage(explained(&format!("{threads} threads cannot be started: {error}"), &needs))
     })
 }
 
 /// Adapts an observer to the numerics: supplies the CPU time of the process and of external bodies (one trial per process), and
 /// converts reports to records.
 struct Watch<'a> {
-    observer: &'a mut dyn Observe,
+    observer: &'a mut dyn ObserveTrial,
     /// CPU time of the observer at the last step (s); stored in the next step's record.
     store: f64,
     /// After its failure nothing is stored any more.
-    body: &'a dyn Body,
+    body: &'a dyn BodyModel,
 }
 
 impl nested::Observe for Watch<'_> {
@@ -158,14 +159,14 @@ impl nested::Observe for Watch<'_> {
         cpu_seconds() + external::waited()
     }
 
-    fn progress(&mut self, _fraction: f64) -> Control {
+    fn progress(&mut self, _fraction: f64) -> LoopControl {
         let wanted = self.observer.progress();
-        if self.body.failure().is_some() { Control::Stop } else { wanted }
+        if self.body.failure().is_some() { LoopControl::Stop } else { wanted }
     }
 
-    fn step(&mut self, report: &nested::Report, state: &State) -> Control {
+    fn step(&mut self, report: &nested::Report, state: &State) -> LoopControl {
         if self.body.failure().is_some() {
-            return Control::Stop;
+            return LoopControl::Stop;
         }
         let mut record = convert::step_record(report);
         record.seconds.store = self.store;

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Control, Observe, pool, run_trial};
+use metasense_worker::run::{LoopControl, ObserveTrial, pool, run_trial};
 use serde_json::json;
 
 /// Sleeps after each step, like a worker that waits for a core or the database.
@@ -17,21 +17,21 @@ struct Sleeper {
 
 const NAP: Duration = Duration::from_millis(150);
 
-impl Observe for Sleeper {
-    fn progress(&mut self) -> Control {
+impl ObserveTrial for Sleeper {
+    fn progress(&mut self) -> LoopControl {
         self.beats += 1;
         std::thread::sleep(NAP / 10);
-        Control::Continue
+        LoopControl::Continue
     }
 
     fn save(&mut self, _: Checkpoint) {}
 
-    fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
+    fn step(&mut self, record: StepRecord, _: Checkpoint) -> LoopControl {
         let s = record.seconds;
         self.recorded += s.simulate + s.train + s.differentiate + s.implicit + s.project + s.store;
         self.by_step.push(self.beats);
         std::thread::sleep(NAP);
-        Control::Continue
+        LoopControl::Continue
     }
 }
 

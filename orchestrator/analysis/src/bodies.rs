@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::data::{apart, groups};
 use super::paired::differing;
 use super::resample::{Interval, Resampling};
-use super::trial::{Body, Cluster, Trial};
+use super::trial::{BodyState, Cluster, Trial};
 
 /// One kind of body in several trials.
 #[derive(Debug, Clone)]
@@ -13,7 +13,7 @@ pub struct BodyTrials<'a> {
     /// `initial`, or the training.
     pub name: String,
     /// Which body of each trial.
-    pub body: Body,
+    pub body: BodyState,
     /// The trials; for the initial body, one per cluster.
     pub trials: Vec<&'a Trial>,
 }
@@ -59,7 +59,8 @@ pub fn bodies<'a, K: Ord>(
 ) -> Vec<BodyTrials<'a>> {
     let initial: BTreeMap<Cluster, &Trial> = trials.iter().rev().map(|t| (t.cluster, *t)).collect();
     let trials_of = initial.into_values().collect();
-    let mut found = vec![BodyTrials { name: "initial".to_owned(), body: Body::Initial, trials: trials_of }];
+    let mut found =
+        vec![BodyTrials { name: "initial".to_owned(), body: BodyState::Initial, trials: trials_of }];
     let mut trained: BTreeMap<K, Vec<&Trial>> = BTreeMap::new();
     for trial in trials.iter().filter(|trial| trial.has_steps()) {
         trained.entry(way(trial)).or_default().push(trial);
@@ -72,7 +73,7 @@ pub fn bodies<'a, K: Ord>(
             let rest = apart(&group.label).into_iter();
             let rest = rest.map(|part| part.trim_start_matches("optimise.").trim_start_matches("stimuli."));
             let name = std::iter::once(&name(&way)[..]).chain(rest).collect::<Vec<_>>().join(", ");
-            BodyTrials { name, body: Body::Optimised, trials: group.trials }
+            BodyTrials { name, body: BodyState::Optimised, trials: group.trials }
         }));
     }
     found

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use super::kinds::{brains_by_trial, memory};
 use super::numbers::{distinct, geometric_mean, in_order};
 use super::paired::{Ratio, disagreement};
-use super::trial::{Body, Cluster, Set, Trial};
+use super::trial::{BodyState, Cluster, Set, Trial};
 
 /// Held-out errors of one decoder on bodies with equal training.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,7 +44,7 @@ pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
         // errors of other tasks are not errors of forces
         let errors = |t: &&&Trial, set: Set| {
             let of_forces = !t.setting.contains_key("brain.task");
-            of_forces.then(|| (t.cluster, Body::ALL.map(|body| t.error(body, set))))
+            of_forces.then(|| (t.cluster, BodyState::ALL.map(|body| t.error(body, set))))
         };
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
         found.extend(read(trained_with, by, (memory, false, true), |set| {

@@ -12,7 +12,7 @@ use super::data::{Group, groups};
 use super::kinds::{is_linear, objective};
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::trial::{Body, CastDecoder, CastReading, Set, Trial};
+use super::trial::{BodyState, CastDecoder, ReadingOnCasts, Set, Trial};
 
 /// Trials with casts in one setting, by body.
 #[derive(Debug, Clone)]
@@ -61,14 +61,14 @@ impl BodyTrials<'_> {
 
     /// Returns the errors of a decoder on the casts; `None` if there are none.
     pub fn errors_of(&self, by: CastDecoder) -> Option<CastErrors> {
-        let read: Vec<(&Trial, &CastReading)> =
+        let read: Vec<(&Trial, &ReadingOnCasts)> =
             self.trials.iter().filter_map(|t| Some((*t, reading(t, self.body, by)?))).collect();
-        let mean = |of: &dyn Fn(&(&Trial, &CastReading)) -> Option<f64>| {
+        let mean = |of: &dyn Fn(&(&Trial, &ReadingOnCasts)) -> Option<f64>| {
             Ratio::of(&read.iter().filter_map(|r| Some((r.0.cluster, of(r)?))).collect::<Vec<_>>())
         };
         let errors = [0, 1].map(|quantile| mean(&|r| Some(r.1.errors[quantile])));
         let kept = [0, 1].map(|quantile| self.kept(by, Set::Holdout, |read| Some(read.errors[quantile])));
-        let sum = |of: fn(&CastReading) -> u64| read.iter().map(|r| of(r.1)).sum();
+        let sum = |of: fn(&ReadingOnCasts) -> u64| read.iter().map(|r| of(r.1)).sum();
         Some(CastErrors {
             casts: [sum(|r| r.casts), sum(|r| r.failed)],
             designed: mean(&|r| designed(r.0, self.body, by, Set::Holdout)),
@@ -81,28 +81,33 @@ impl BodyTrials<'_> {
         })
     }
 
-    fn kept(&self, by: CastDecoder, set: Set, of: impl Fn(&CastReading) -> Option<f64>) -> Option<KeptGain> {
-        if self.body == Body::Initial {
+    fn kept(
+        &self,
+        by: CastDecoder,
+        set: Set,
+        of: impl Fn(&ReadingOnCasts) -> Option<f64>,
+    ) -> Option<KeptGain> {
+        if self.body == BodyState::Initial {
             return None;
         }
         // ln(initial/trained) over casts and as designed, per trial
         let gains = |trial: &&Trial| {
-            let cast = Body::ALL.map(|body| of(reading(trial, body, by)?));
+            let cast = BodyState::ALL.map(|body| of(reading(trial, body, by)?));
             let gain = |[initial, trained]: [Option<f64>; 2]| Some((initial? / trained?).ln());
-            let found = [gain(cast)?, gain(Body::ALL.map(|body| designed(trial, body, by, set)))?];
+            let found = [gain(cast)?, gain(BodyState::ALL.map(|body| designed(trial, body, by, set)))?];
             Some((trial.cluster, found))
         };
         KeptGain::of(self.trials.iter().filter_map(gains))
     }
 }
 
-fn reading(trial: &Trial, body: Body, by: CastDecoder) -> Option<&CastReading> {
+fn reading(trial: &Trial, body: BodyState, by: CastDecoder) -> Option<&ReadingOnCasts> {
     trial.casts.iter().find(|reading| (reading.body, reading.decoder) == (body, by))
 }
 
 /// Held-out error (%) of the body as designed: of the trial's own decoder for networks, inverse decoders and linear trials,
 /// else of the linear decoder with the longest memory.
-fn designed(trial: &Trial, body: Body, by: CastDecoder, set: Set) -> Option<f64> {
+fn designed(trial: &Trial, body: BodyState, by: CastDecoder, set: Set) -> Option<f64> {
     let inverts = matches!(by, CastDecoder::Inverse | CastDecoder::Twin(_));
     if by <= CastDecoder::NetworkCasts || inverts || is_linear(trial) {
         return trial.error(body, set);

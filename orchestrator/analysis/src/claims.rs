@@ -18,12 +18,12 @@ use super::elbow::{ErrorScale, elbow};
 use super::kinds::brains;
 use super::numbers::{distinct, geometric_mean};
 use super::paired;
-use super::paired::{Progress, Ratio, error_ratio, long_ratio};
+use super::paired::{Ratio, TrainingMeasure, error_ratio, long_ratio};
 use super::random::{random, random_groups};
 use super::resample::{Interval, Resampling, holm};
 use super::sensors::spread;
 use super::tables::verdict_text;
-use super::trial::{Body, Cluster, Set, Trial};
+use super::trial::{BodyState, Cluster, Set, Trial};
 pub use list::CLAIMS;
 pub use tables::{claims_table, evidence_table, tried, tried_elsewhere};
 
@@ -286,11 +286,11 @@ fn of_text<'a>(trials: &[&'a Trial], path: &str, value: &str) -> Vec<&'a Trial> 
 
 fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let groups = groups(trials, &[]);
-    let of_curve = |(group, by): (&Group, Progress)| {
+    let of_curve = |(group, by): (&Group, TrainingMeasure)| {
         let ratio = paired::iterations(&group.trials, by)?;
         Some(ratio_evidence(group_name(group), by.name(), ratio, stated, String::new()))
     };
-    groups.iter().flat_map(|group| Progress::ALL.map(|by| (group, by))).filter_map(of_curve).collect()
+    groups.iter().flat_map(|group| TrainingMeasure::ALL.map(|by| (group, by))).filter_map(of_curve).collect()
 }
 
 /// Returns the ratio of values in `first` to those in `second`, paired by cluster; geometric mean within a cluster.
@@ -311,7 +311,7 @@ fn each(trials: &[&Trial], number: impl Fn(&Trial) -> Option<f64>) -> Vec<(Clust
 
 /// Error of the initial body divided by that of the trained body.
 fn gain(trial: &Trial, set: Set) -> Option<f64> {
-    Some(trial.error(Body::Initial, set)? / trial.error(Body::Optimised, set)?)
+    Some(trial.error(BodyState::Initial, set)? / trial.error(BodyState::Optimised, set)?)
 }
 
 fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
@@ -324,7 +324,7 @@ fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     })
 }
 
-fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
+fn random_bodies(stated: f64, trials: &[&Trial], than: BodyState) -> Vec<Evidence> {
     let joint = of_text(&of_text(trials, "stimuli.kind", "bell"), "optimise.protocol", "joint");
     let of_scene = |t: &&Trial| (t.panels, t.sensors) == (2, 1) && !tied(t);
     let trials: Vec<&Trial> = joint.into_iter().filter(of_scene).collect();
@@ -342,7 +342,7 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             let of: Vec<&Trial> = group.trials.iter().filter(|t| t.sensors as f64 == m).copied().collect();
             Some((m, error_ratio(&of, set)?))
         };
-        let numbers = places(&observations(&group.trials, Body::Initial, set, |t| t.sensors));
+        let numbers = places(&observations(&group.trials, BodyState::Initial, set, |t| t.sensors));
         let ratios: Vec<(f64, Ratio)> = numbers.into_iter().filter_map(at).collect();
         let low = |r: &Ratio| r.interval.map_or(0.0, |i| i.low);
         let (m, ratio) = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)))?;
@@ -383,7 +383,7 @@ fn by_height(
 
 fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     by_height(&curves(trials), |group, set, height, who| {
-        let points = observations(&group.trials, Body::Optimised, set, |t| t.sensors);
+        let points = observations(&group.trials, BodyState::Optimised, set, |t| t.sensors);
         let elbow = elbow(&points, height).ok()?;
         let votes: Vec<String> =
             elbow.votes.iter().map(|(m, share)| format!("M = {m}: {:.0} %", 100.0 * share)).collect();
@@ -405,11 +405,11 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 fn few_sensors_ratio(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
     by_set(&curves(trials), |group, set| {
         let most = group.trials.iter().map(|t| t.sensors).max()?;
-        let of = |sensors: u64, body: Body| -> Vec<(Cluster, f64)> {
+        let of = |sensors: u64, body: BodyState| -> Vec<(Cluster, f64)> {
             let own: Vec<&Trial> = group.trials.iter().filter(|t| t.sensors == sensors).copied().collect();
             each(&own, |t| t.error(body, set))
         };
-        let ratio = paired_ratio(&of(most, Body::Initial), &of(few, Body::Optimised))?;
+        let ratio = paired_ratio(&of(most, BodyState::Initial), &of(few, BodyState::Optimised))?;
         let note = format!("{few} sensors against {most}");
         Some(ratio_evidence(group_name(group), set.name(), ratio, stated, note))
     })
@@ -418,7 +418,7 @@ fn few_sensors_ratio(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> 
 /// Standard deviation of the error over placements on the initial body divided by that on the trained body, all M together.
 fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     by_height(&over_sensors(trials), |group, set, height, who| {
-        let points_by_body = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
+        let points_by_body = BodyState::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
         let clusters = clusters(points_by_body.iter().flatten());
         let grids = [Grid::new(&points_by_body[0], &clusters), Grid::new(&points_by_body[1], &clusters)];
         let units = Resampling::new(&clusters);
@@ -477,10 +477,10 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
                 continue;
             }
             for set in Set::with_errors(&group.trials) {
-                let errors = |n: u64, body: Body| each(&at(n), |t| t.error(body, set));
-                let ratio_of_errors = |body: Body| paired_ratio(&errors(few, body), &errors(many, body));
-                let Some(ratio) = ratio_of_errors(Body::Optimised) else { continue };
-                let initial = ratio_of_errors(Body::Initial)
+                let errors = |n: u64, body: BodyState| each(&at(n), |t| t.error(body, set));
+                let ratio_of_errors = |body: BodyState| paired_ratio(&errors(few, body), &errors(many, body));
+                let Some(ratio) = ratio_of_errors(BodyState::Optimised) else { continue };
+                let initial = ratio_of_errors(BodyState::Initial)
                     .map_or(String::new(), |r| format!("; initial body {:.3}", r.ratio));
                 let note = format!("{few} → {many} parameters{initial}");
                 let brain = &brains(&group.trials[0].setting)[0];
@@ -509,7 +509,7 @@ fn implicit(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let paper: Vec<&Trial> = two_forces(trials, "bell").into_iter().filter(has).collect();
     by_set(&groups(&paper, &["optimise.gradient"]), |group, set| {
         let errors = |terms: &str| {
-            each(&of_text(&group.trials, "optimise.gradient", terms), |t| t.error(Body::Optimised, set))
+            each(&of_text(&group.trials, "optimise.gradient", terms), |t| t.error(BodyState::Optimised, set))
         };
         let ratio = paired_ratio(&errors("direct"), &errors("implicit"))?;
         Some(ratio_evidence(group_name(group), set.name(), ratio, stated, String::new()))

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::data::{Group, groups};
 use super::paired::{Ratio, ratio_of};
 use super::tables::ratio_cells;
-use super::trial::{Body, Set, Trial};
+use super::trial::{BodyState, Set, Trial};
 use metasense_render::Table;
 
 /// Settings that are never compared: pairs agree in them.
@@ -19,7 +19,7 @@ const ALWAYS: [&str; 2] = ["point.placement", "point.seed"];
 
 /// The pairs of trials of two databases.
 #[derive(Debug, Clone)]
-pub struct Comparison<'a> {
+pub struct TrialPairs<'a> {
     /// Paths of the compared settings, with the values in the first and in the second database.
     pub differs: BTreeMap<&'a str, [Option<&'a Value>; 2]>,
     /// Pairs: first, second.
@@ -28,7 +28,7 @@ pub struct Comparison<'a> {
     pub alone: [usize; 2],
 }
 
-impl<'a> Comparison<'a> {
+impl<'a> TrialPairs<'a> {
     /// Finds the pairs.
     pub fn new(first: &'a [Trial], second: &'a [Trial]) -> Self {
         let paths: BTreeSet<&str> =
@@ -66,7 +66,7 @@ impl<'a> Comparison<'a> {
                 rows.extend(self.ratio(group, of).map(|r| row.into_iter().chain(ratio_cells(r)).collect()));
             };
             for (set, body) in
-                Set::with_errors(&group.trials).flat_map(|set| Body::ALL.map(|body| (set, body)))
+                Set::with_errors(&group.trials).flat_map(|set| BodyState::ALL.map(|body| (set, body)))
             {
                 add(&format!("{} error", set.name()), json!(body.name()), &|t| t.error(body, set));
             }

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::kinds::{brains, format_brains, objective};
 use super::numbers::{distinct, geometric_mean};
-use super::trial::{Body, Cluster, Set, Trial};
+use super::trial::{BodyState, Cluster, Set, Trial};
 use metasense_render::cell::brief;
 
 /// An error (%) at one value of an axis, such as the number of sensors or of design parameters.
@@ -312,7 +312,7 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
 }
 
 /// Returns the errors of trials along an axis.
-pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
+pub fn observations(trials: &[&Trial], body: BodyState, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
     without_repeats(trials, |t| t.error(body, set))
         .map(|(t, error)| Observation { at: at(t) as f64, cluster: t.cluster, error })
         .collect()

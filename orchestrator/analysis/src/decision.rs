@@ -12,7 +12,7 @@ use super::resample::Resampling;
 
 /// Parameters of the decisions.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
-pub struct Terms {
+pub struct DecisionTerms {
     /// Also shows the smallest M whose error is at most this fraction above the smallest error
     #[arg(long, value_name = "PART", default_value_t = Self::default().within, value_parser = at_least_zero, help_heading = "Decision on the number of sensors")]
     pub within: f64,
@@ -24,7 +24,7 @@ pub struct Terms {
     pub price: Option<f64>,
 }
 
-impl Default for Terms {
+impl Default for DecisionTerms {
     fn default() -> Self {
         Self { within: 0.1, fall: 0.9, price: None }
     }
@@ -74,7 +74,7 @@ pub struct Decisions {
 type Means = [(f64, f64)];
 
 /// Decides on M; `None` with fewer than two values of M.
-pub fn decisions(observations: &[Observation], terms: Terms) -> Option<Decisions> {
+pub fn decisions(observations: &[Observation], terms: DecisionTerms) -> Option<Decisions> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);
     let at = &grid.places;

@@ -9,7 +9,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;
 
-use metasense_schemas::record::{Parts, Trial};
+use metasense_schemas::record::{Parts, PlannedTrial};
 
 /// With more open trials than this, the work is divided evenly among workers.
 const ONE_BY_ONE: usize = 2000;
@@ -30,7 +30,7 @@ pub struct Planned {
 
 impl Planned {
     /// A trial that has done `behind` steps.
-    pub fn new(trial: &Trial, behind: u32) -> Self {
+    pub fn new(trial: &PlannedTrial, behind: u32) -> Self {
         let steps = trial.spec.optimise.steps().max(1) as u32;
         let Parts { steps: all, comparison } = trial.cost;
         let (step, comparison) = (all / f64::from(steps), comparison.max(1e-9));

@@ -39,8 +39,8 @@ pub mod view;
 mod tests;
 
 pub use data::{Group, Observation};
-pub use decision::Terms;
+pub use decision::DecisionTerms;
 pub use elbow::{Elbow, ErrorScale, Verdict, elbow};
 pub use resample::{Interval, Resampling};
 pub use tables::Question;
-pub use trial::{Body, Cluster, Set, Trial};
+pub use trial::{BodyState, Cluster, Set, Trial};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use metasense_schemas::record::NetworkEvaluation;
+use metasense_schemas::record::NetworkRecord;
 
 /// Arithmetic mean; `None` without values.
 pub fn mean(values: &[f64]) -> Option<f64> {
@@ -83,15 +83,15 @@ pub fn distinct<T: Ord>(values: impl IntoIterator<Item = T>) -> Vec<T> {
 
 /// Returns the mean of an error over the networks that have it.
 pub fn network_mean(
-    networks: &[NetworkEvaluation],
-    error: impl Fn(&NetworkEvaluation) -> Option<f64>,
+    networks: &[NetworkRecord],
+    error: impl Fn(&NetworkRecord) -> Option<f64>,
 ) -> Option<f64> {
     let errors: Vec<f64> = networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
     mean(&errors)
 }
 
 /// Returns the largest number of samples above 100 % of any network; `None` if unknown.
-pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
+pub fn most_above(networks: &[NetworkRecord]) -> Option<u32> {
     networks.iter().filter_map(|network| Some(network.spread?.above)).max()
 }
 

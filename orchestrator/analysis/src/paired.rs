@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use super::data::without_repeats;
 use super::numbers::geometric_mean;
 use super::resample::{Interval, Resampling};
-use super::trial::{Body, Cluster, CurvePoint, Set, Trial};
+use super::trial::{BodyState, Cluster, CurvePoint, Set, Trial};
 
 /// A mean ratio over trials.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,12 +82,14 @@ pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64
 
 /// Error of the initial body divided by that of the trained body.
 pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
-    ratio_of(trials, |t| Some([t.error(Body::Initial, set)?, t.error(Body::Optimised, set)?]))
+    ratio_of(trials, |t| Some([t.error(BodyState::Initial, set)?, t.error(BodyState::Optimised, set)?]))
 }
 
 /// The same after long training.
 pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
-    ratio_of(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
+    ratio_of(trials, |t| {
+        Some([t.long_error(BodyState::Initial, set)?, t.long_error(BodyState::Optimised, set)?])
+    })
 }
 
 /// Returns the ratio by medians over samples, and both verdicts, if they differ from the verdict by means of the same trials.
@@ -109,14 +111,14 @@ pub(super) fn differing([by_means, by_medians]: [&str; 2]) -> Option<String> {
 
 /// Quantity by which the training of two networks is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Progress {
+pub enum TrainingMeasure {
     /// Training loss, at every iteration.
     Loss,
     /// Held-out error, at the iterations at which it is recorded.
     Error,
 }
 
-impl Progress {
+impl TrainingMeasure {
     /// Both, the more informative first.
     pub const ALL: [Self; 2] = [Self::Error, Self::Loss];
 
@@ -143,7 +145,7 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 }
 
 /// [`iteration_ratio`] over trials; geometric mean over the networks of a trial.
-pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
+pub fn iterations(trials: &[&Trial], by: TrainingMeasure) -> Option<Ratio> {
     let of = |t: &Trial| Some(geometric_mean(&t.iterations[by as usize])).filter(|mean| mean.is_finite());
     let ratios: Vec<(Cluster, f64)> =
         without_repeats(trials, of).map(|(t, ratio)| (t.cluster, ratio)).collect();

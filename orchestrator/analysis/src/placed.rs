@@ -6,7 +6,7 @@ use super::data::{SEARCH, SENSORS, groups};
 use super::numbers::{distinct, geometric_mean};
 use super::paired::Ratio;
 use super::resample::Resampling;
-use super::trial::{Body, Cluster, Set, Trial};
+use super::trial::{BodyState, Cluster, Set, Trial};
 
 /// Random and searched placements of one setting.
 #[derive(Debug, Clone)]
@@ -62,7 +62,7 @@ pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<PlacementComparison<'a>> {
 
 impl SensorLevel<'_> {
     /// Error (%, geometric mean) with sensors placed at random or (`searched`) by a search.
-    pub fn error(&self, searched: bool, body: Body, set: Set) -> Option<f64> {
+    pub fn error(&self, searched: bool, body: BodyState, set: Set) -> Option<f64> {
         let trials = &self.trials[usize::from(searched)];
         let errors: Vec<f64> = trials.iter().filter_map(|t| t.error(body, set)).collect();
         (!errors.is_empty()).then(|| geometric_mean(&errors))
@@ -70,7 +70,7 @@ impl SensorLevel<'_> {
 
     /// Error on the initial body with random sensors divided by that with searched sensors, per seed.
     pub fn gain_from_placing(&self, set: Set) -> Option<Ratio> {
-        let body = Body::Initial;
+        let body = BodyState::Initial;
         let [random, searched] = &self.trials;
         let ratio = |t: &&Trial| {
             let own = |r: &&&Trial| r.cluster.seed == t.cluster.seed;
@@ -89,7 +89,7 @@ impl SensorLevel<'_> {
 
 impl PlacementComparison<'_> {
     /// Returns the smallest M with at most this error (%) there and at every larger M.
-    pub fn needed(&self, searched: bool, body: Body, set: Set, error: f64) -> NeededSensors {
+    pub fn needed(&self, searched: bool, body: BodyState, set: Set, error: f64) -> NeededSensors {
         let of = |(level, l): (usize, &SensorLevel<'_>)| -> Vec<(usize, Cluster, f64)> {
             let trials = l.trials[usize::from(searched)].iter();
             trials.filter_map(|t| Some((level, t.cluster, t.error(body, set)?.ln()))).collect()

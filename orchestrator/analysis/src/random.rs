@@ -11,7 +11,7 @@ use super::data::{DESIGN, Group, groups, without_repeats};
 use super::numbers::{geometric_mean, log_squares};
 use super::paired::Ratio;
 use super::resample::{PLACEMENTS, Resampling, SEEDS};
-use super::trial::{Body, RANDOM, SPREAD, Set, Trial};
+use super::trial::{BodyState, RANDOM, SPREAD, Set, Trial};
 
 /// Errors of random bodies, of the initial and of the trained body.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,13 +69,13 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     // geometric mean over ways of training with equal sensors and forces
     let mut sharing: HashMap<_, Vec<&Trial>> = HashMap::new();
     others.iter().for_each(|o| sharing.entry((o.cluster, o.sensors)).or_default().push(o));
-    let alike = |trial: &Trial, body: Body| {
+    let alike = |trial: &Trial, body: BodyState| {
         let sharing = sharing.get(&(trial.cluster, trial.sensors));
         let same: Vec<f64> = sharing.into_iter().flatten().filter_map(|o| o.error(body, set)).collect();
         (!same.is_empty()).then(|| geometric_mean(&same))
     };
-    let ratios = Body::ALL.map(|body| {
-        let ratio = |t: &Trial| Some(t.error(Body::Initial, set)? / alike(t, body)?);
+    let ratios = BodyState::ALL.map(|body| {
+        let ratio = |t: &Trial| Some(t.error(BodyState::Initial, set)? / alike(t, body)?);
         let (trials, ratios): (Vec<&Trial>, Vec<f64>) = without_repeats(&random, ratio).unzip();
         let ids_by = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
         let units = Resampling::over_units([
@@ -85,8 +85,8 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
         ]);
         Ratio::over(&units, &ratios)
     });
-    let [errors, trained] = Body::ALL.map(|body| errors_of(&random, body));
-    let others = Body::ALL.map(|body| errors_of(&others, body));
+    let [errors, trained] = BodyState::ALL.map(|body| errors_of(&random, body));
+    let others = BodyState::ALL.map(|body| errors_of(&others, body));
     (ratios[0].is_some() && !errors.is_empty()).then_some(Random { errors, others, ratios, trained })
 }
 

@@ -52,7 +52,7 @@ impl Law {
 
 /// A fitted law with intervals, and whether it is identifiable.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scaling {
+pub struct FittedLaw {
     /// The best fit.
     pub law: Law,
     /// Interval of the exponent.
@@ -84,7 +84,7 @@ pub struct HeldOut {
     pub interval: Option<Interval>,
 }
 
-impl Scaling {
+impl FittedLaw {
     /// Returns the 95 % interval of L(N) (%); `None` with too few units.
     pub fn band(&self, n: f64) -> Option<Interval> {
         Some(self.laws.as_ref()?.interval(|law| law.at(n).ln())?.map(f64::exp))
@@ -100,7 +100,7 @@ pub struct TooFew(pub usize);
 ///
 /// # Errors
 /// If there are fewer than four values of N.
-pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
+pub fn scaling(observations: &[Observation]) -> Result<FittedLaw, TooFew> {
     let at = places(observations);
     if at.len() < LEAST_VALUES {
         return Err(TooFew(at.len()));
@@ -119,7 +119,7 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     let floor = of(|l| l.floor).map(|i| i.map(|c| c.max(0.0)));
     let held_out = held_out(observations, &clusters, &units, &law);
     let (over, residual, not_identifiable) = (units.over(), (squares / freedom as f64).sqrt(), None);
-    let mut scaling = Scaling { law, exponent, floor, held_out, over, residual, not_identifiable, laws };
+    let mut scaling = FittedLaw { law, exponent, floor, held_out, over, residual, not_identifiable, laws };
     scaling.not_identifiable = doubt(&scaling, observations);
     Ok(scaling)
 }
@@ -161,7 +161,7 @@ fn held_out(
     Some(HeldOut { at: most, predicted, observed, interval: interval.map(|i| i.map(f64::exp)) })
 }
 
-fn doubt(found: &Scaling, observations: &[Observation]) -> Option<String> {
+fn doubt(found: &FittedLaw, observations: &[Observation]) -> Option<String> {
     let at = places(observations);
     let fall = (found.law.at(at[0]) / found.law.at(at[at.len() - 1])).ln();
     let error = found.residual / ((observations.len() as f64) / at.len() as f64).sqrt();

@@ -44,7 +44,7 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Senso
 
 /// Spread of the error over placements, at equal M and seed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Spread {
+pub struct PlacementSpread {
     /// Largest number of placements per seed.
     pub placements: usize,
     /// Standard deviation of ln e over placements, pooled over seeds.
@@ -54,7 +54,7 @@ pub struct Spread {
 }
 
 /// Returns the spread of the error over placements; `None` with a single placement.
-pub fn spread(observations: &[Observation]) -> Option<Spread> {
+pub fn spread(observations: &[Observation]) -> Option<PlacementSpread> {
     let (mut squares, mut freedom, mut ratios, mut placements) = (0.0, 0usize, Vec::new(), 0);
     for seed in distinct(observations.iter().map(|o| o.cluster.seed)) {
         let errors: Vec<f64> =
@@ -70,7 +70,7 @@ pub fn spread(observations: &[Observation]) -> Option<Spread> {
         );
     }
     let deviation = (squares / freedom as f64).sqrt();
-    (freedom > 0).then(|| Spread { placements, deviation, ratio: geometric_mean(&ratios) })
+    (freedom > 0).then(|| PlacementSpread { placements, deviation, ratio: geometric_mean(&ratios) })
 }
 
 #[cfg(test)]

@@ -88,12 +88,12 @@ impl InternedValues {
 
 /// Stores values that settings share.
 #[derive(Debug, Default)]
-pub struct Settings {
+pub struct SharedSettings {
     shared: InternedValues,
     own: InternedValues,
 }
 
-impl Settings {
+impl SharedSettings {
     /// Returns the setting of a trial's spec. Recorded forces are identified by content, so their file names are dropped.
     pub fn of(&mut self, spec: &Value) -> Setting {
         let mut leaves = flatten(spec);

@@ -10,7 +10,7 @@ use super::data::{
     BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups,
     groups_by_objective, levels, observations,
 };
-use super::decision::{Decision, Terms, decisions};
+use super::decision::{Decision, DecisionTerms, decisions};
 use super::elbow::{ErrorScale, Verdict, elbow};
 use super::numbers::{distinct, geometric_mean, mean};
 use super::paired::{self, Ratio};
@@ -18,11 +18,11 @@ use super::placed::placed;
 use super::random::{random, random_groups};
 use super::resample::Interval;
 use super::run_time::{CensoredTime, mean_seconds, median_time, pareto, parts, round_errors};
-use super::scaling::{Scaling, scaling};
-use super::sensors::{Spread, fewer, spread};
+use super::scaling::{FittedLaw, scaling};
+use super::sensors::{PlacementSpread, fewer, spread};
 use super::tasks;
 use super::transfer;
-use super::trial::{Body, Set, Trial};
+use super::trial::{BodyState, Set, Trial};
 use metasense_render::{Table, row};
 
 /// A question about finished trials.
@@ -150,7 +150,7 @@ impl Question {
     }
 
     /// Returns the answer; no rows if the trials cannot answer.
-    pub fn answer(self, all: &[Trial], terms: Terms) -> Table {
+    pub fn answer(self, all: &[Trial], terms: DecisionTerms) -> Table {
         let trials: Vec<&Trial> = all.iter().collect();
         match self {
             Self::Paired => paired_table(&trials),
@@ -211,7 +211,7 @@ type Curves<'a> = (Vec<Group<'a>>, fn(&Trial) -> u64);
 
 /// Returns the rows of the curve of every group, body and set.
 fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>) -> Table {
-    let bodies = groups.iter().flat_map(|group| Body::ALL.map(|body| (group, body)));
+    let bodies = groups.iter().flat_map(|group| BodyState::ALL.map(|body| (group, body)));
     let all =
         bodies.flat_map(|(group, body)| Set::with_errors(&group.trials).map(move |set| (group, body, set)));
     let told = all.flat_map(|(group, body, set)| {
@@ -294,7 +294,7 @@ fn paired_table(trials: &[&Trial]) -> Table {
 
 fn iterations_table(trials: &[&Trial]) -> Table {
     let rows = groups(trials, &[]).into_iter().flat_map(|group| {
-        paired::Progress::ALL.into_iter().filter_map(move |by| {
+        paired::TrainingMeasure::ALL.into_iter().filter_map(move |by| {
             Some(row![group.label, by.name(); ratio_cells(paired::iterations(&group.trials, by)?)])
         })
     });
@@ -315,7 +315,7 @@ fn long_table(trials: &[&Trial]) -> Table {
                     let errors: Vec<f64> = trials.iter().filter_map(|t| t.long_error(body, set)).collect();
                     geometric_mean(&errors)
                 };
-                let [initial, optimised] = Body::ALL.map(mean);
+                let [initial, optimised] = BodyState::ALL.map(mean);
                 let names = row![group.label, set.name(), iterations, initial, optimised];
                 let note = note_cells(set, |set| paired::long_ratio(&trials, set));
                 rows.push([names, ratio_cells(ratio), note].concat());
@@ -369,7 +369,7 @@ fn level_cells(level: &Level) -> Vec<Value> {
     row![level.at as u64, level.trials, level.mean, level.least, level.most]
 }
 
-fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
+fn sensors_table(trials: &[&Trial], terms: DecisionTerms) -> Table {
     let columns = "M trials error least most elbow_votes within_votes price_votes gain_to_next gain_low \
         gain_high over";
     by_curve(columns, by_sensors(trials), |points| {
@@ -407,7 +407,7 @@ pub fn verdict_text(verdict: Verdict) -> String {
     }
 }
 
-fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
+fn elbow_table(trials: &[&Trial], terms: DecisionTerms) -> Table {
     let columns = "height verdict broken_stick votes_for_none without_largest any_decay kneedle chord fall fall_votes \
         fall_without_largest within within_votes within_without_largest price price_votes price_without_largest over";
     let whole = |m: f64| m as u64;
@@ -450,7 +450,7 @@ fn fewer_table(trials: &[&Trial]) -> Table {
     let columns = "initial_sensors initial_error optimised_sensors optimised_error votes over";
     by_set(columns, &by_sensors(trials).0, |group, set| {
         let of = |body| observations(&group.trials, body, set, |t| t.sensors);
-        let found = fewer(&of(Body::Initial), &of(Body::Optimised))?;
+        let found = fewer(&of(BodyState::Initial), &of(BodyState::Optimised))?;
         let sensors = [Some(found.most), found.fewest].map(|m| m.map(|m| m as u64));
         let errors = (found.initial_error, found.optimised_error);
         Some(row![sensors[0], errors.0, sensors[1], errors.1, found.share, found.over])
@@ -459,7 +459,7 @@ fn fewer_table(trials: &[&Trial]) -> Table {
 
 fn placements_table(trials: &[&Trial]) -> Table {
     by_curve("placements deviation worst_over_best", (groups(trials, &[]), |t| t.sensors), |points| {
-        let row = |found: Spread| row![found.placements, found.deviation, found.ratio];
+        let row = |found: PlacementSpread| row![found.placements, found.deviation, found.ratio];
         spread(points).map(row).into_iter().collect()
     })
 }
@@ -470,7 +470,7 @@ fn placed_table(trials: &[&Trial]) -> Table {
         for (set, level) in
             Set::with_errors(trials).flat_map(|set| found.levels.iter().map(move |l| (set, l)))
         {
-            let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
+            let ways = [false, true].into_iter().flat_map(|s| BodyState::ALL.map(|body| (s, body)));
             let errors = ways.map(|(searched, body)| json!(level.error(searched, body, set))).collect();
             let [placing, training] = [level.gain_from_placing(set), level.gain_from_training(set)];
             let [placing_cells, training_cells] = [&placing, &training].map(|r| interval_cells(r.as_ref()));
@@ -486,7 +486,8 @@ fn placed_table(trials: &[&Trial]) -> Table {
 
 fn nonlinear_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
-    for (group, body) in groups(trials, &[]).iter().flat_map(|group| Body::ALL.map(|body| (group, body))) {
+    for (group, body) in groups(trials, &[]).iter().flat_map(|group| BodyState::ALL.map(|body| (group, body)))
+    {
         for (kind, name) in ["acceleration", "rotation"].into_iter().enumerate() {
             let shares = nonlinear(&group.trials, body, kind);
             let end = |pick: fn(f64, f64) -> f64| shares.iter().copied().reduce(pick);
@@ -500,7 +501,7 @@ fn nonlinear_table(trials: &[&Trial]) -> Table {
 }
 
 /// Returns the nonlinear part (%) of accelerations (kind 0) or angular velocities (1) of a body, per trial that has it.
-pub fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> {
+pub fn nonlinear(trials: &[&Trial], body: BodyState, kind: usize) -> Vec<f64> {
     trials.iter().filter_map(|t| t.nonlinear[body as usize][kind]).collect()
 }
 
@@ -524,8 +525,8 @@ fn complexity_table(trials: &[&Trial]) -> Table {
         let found = scaling(points);
         let verdict = match &found {
             Err(why) => why.to_string(),
-            Ok(Scaling { not_identifiable: None, .. }) => "identified".into(),
-            Ok(Scaling { not_identifiable: Some(why), .. }) => format!("not identifiable: {why}"),
+            Ok(FittedLaw { not_identifiable: None, .. }) => "identified".into(),
+            Ok(FittedLaw { not_identifiable: Some(why), .. }) => format!("not identifiable: {why}"),
         };
         let found = found.as_ref().ok();
         let law = found.map(|f| f.law);

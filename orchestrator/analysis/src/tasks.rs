@@ -7,7 +7,7 @@ use super::elbow::{ErrorScale, elbow};
 use super::numbers::distinct;
 use super::paired::Ratio;
 use super::tables::verdict_text;
-use super::trial::{Body, Cluster, Trial};
+use super::trial::{BodyState, Cluster, Trial};
 use metasense_render::{Table, row};
 use serde_json::Value;
 
@@ -70,10 +70,10 @@ pub fn results(trials: &[&Trial]) -> Vec<TaskResult> {
 
 /// Pairs the estimates of a trial's bodies.
 fn pairs(setting: &str, trial: &Trial) -> Vec<TaskResult> {
-    let of = |body: Body| trial.tasks.iter().filter(move |read| read.body == body.name());
-    let pair = of(Body::Initial).filter_map(|initial| {
+    let of = |body: BodyState| trial.tasks.iter().filter(move |read| read.body == body.name());
+    let pair = of(BodyState::Initial).filter_map(|initial| {
         let same = |read: &&_| initial.is_like(read);
-        let trained = of(Body::Optimised).find(same)?;
+        let trained = of(BodyState::Optimised).find(same)?;
         Some(TaskResult {
             setting: setting.to_owned(),
             sensors: trial.sensors,

@@ -4,12 +4,12 @@
 use super::data::Observation;
 use super::elbow::gains;
 use super::numbers::{mean, median};
-use super::paired::{Progress, Ratio, error_ratio, iteration_ratio, iterations};
+use super::paired::{Ratio, TrainingMeasure, error_ratio, iteration_ratio, iterations};
 use super::random::{random, random_groups};
 use super::records::{BodyErrors, mean_interval, mean_ratio};
 use super::resample::{Interval, LEAST_UNITS};
 use super::run_time::{CensoredTime, median_time};
-use super::scaling::{Scaling, scaling};
+use super::scaling::{FittedLaw, scaling};
 use super::sensors::fewer;
 use super::trial::{Cluster, RANDOM, SPREAD, Set, Trial};
 use metasense_numerics::random::Draw;
@@ -104,7 +104,7 @@ fn ratios_of_trials_that_share_placement_and_seed() {
     }));
     shares.push(coverage("iterations: 5 placements × 1 seed × 3 M", 1000, 2.0, |draw| {
         let trials = campaign(draw, 5, 1, false);
-        iterations(&trials.iter().collect::<Vec<_>>(), Progress::Error)?.interval
+        iterations(&trials.iter().collect::<Vec<_>>(), TrainingMeasure::Error)?.interval
     }));
     assert_covers(&shares);
 }
@@ -294,7 +294,7 @@ fn means_over_records() {
 /// L = 30·(N/N₀)^−0.8 + 4 at seven sizes in `placements`, which differ by 10 %; noise 4 %.
 #[test]
 fn scaling_laws() {
-    let laws = |placements: u64| -> Vec<Scaling> {
+    let laws = |placements: u64| -> Vec<FittedLaw> {
         let campaign = |c| {
             let mut draw = Draw::numbered(17, c);
             let mut observations = Vec::new();
@@ -314,7 +314,7 @@ fn scaling_laws() {
     for placements in [4, 6] {
         let laws = laws(placements);
         let of = |what: &str| format!("complexity, {what}: {placements} placements");
-        let mut ask = |what: &str, truth: f64, interval: &dyn Fn(&Scaling) -> Option<Interval>| {
+        let mut ask = |what: &str, truth: f64, interval: &dyn Fn(&FittedLaw) -> Option<Interval>| {
             shares.push(held(&of(what), truth, laws.iter().filter_map(interval).collect()));
         };
         ask("exponent", 0.8, &|law| law.exponent);

@@ -9,7 +9,7 @@ use super::bodies::{BodyTrials, KeptGain, bodies};
 use super::data::{Group, groups};
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::trial::{Body, Trial, UnderReading};
+use super::trial::{BodyState, Trial, UnderErrors};
 
 /// Trials of one setting with evaluations under several kinds of forces.
 #[derive(Debug, Clone)]
@@ -59,9 +59,9 @@ impl Setting<'_> {
             let of = |trial: &&Trial| Some((trial.cluster, reading(trial, body.body, under, own)?.error));
             Ratio::of(&body.trials.iter().filter_map(of).collect::<Vec<_>>())
         };
-        let trained = body.body == Body::Optimised;
+        let trained = body.body == BodyState::Optimised;
         let kept =
-            |of: fn(&UnderReading) -> Option<f64>| trained.then(|| self.kept(body, under, of)).flatten();
+            |of: fn(&UnderErrors) -> Option<f64>| trained.then(|| self.kept(body, under, of)).flatten();
         let [means, medians] = [kept(|read| Some(read.error)), kept(|read| read.median)];
         let carried = trained.then(|| mean(false)).flatten();
         let note = KeptGain::disagreement(means, medians);
@@ -76,19 +76,19 @@ impl Setting<'_> {
 
     /// Returns the first body that was trained under a kind of forces.
     fn specialist(&self, under: &str) -> Option<&BodyTrials<'_>> {
-        self.bodies.iter().find(|body| body.body == Body::Optimised && kind(body.trials[0]) == under)
+        self.bodies.iter().find(|body| body.body == BodyState::Optimised && kind(body.trials[0]) == under)
     }
 
     fn kept(
         &self,
         body: &BodyTrials,
         under: &str,
-        of: impl Fn(&UnderReading) -> Option<f64>,
+        of: impl Fn(&UnderErrors) -> Option<f64>,
     ) -> Option<KeptGain> {
         let specialist = self.specialist(under)?;
         // ln(initial/trained) of the body and of the specialist, per cluster
         let gain = |trial: &Trial| {
-            let [initial, trained] = Body::ALL.map(|body| of(reading(trial, body, under, true)?));
+            let [initial, trained] = BodyState::ALL.map(|body| of(reading(trial, body, under, true)?));
             Some((initial? / trained?).ln())
         };
         let both = |trial: &&Trial| {
@@ -99,7 +99,7 @@ impl Setting<'_> {
     }
 }
 
-fn reading<'a>(trial: &'a Trial, body: Body, under: &str, own: bool) -> Option<&'a UnderReading> {
+fn reading<'a>(trial: &'a Trial, body: BodyState, under: &str, own: bool) -> Option<&'a UnderErrors> {
     trial.under.iter().find(|read| (read.body, read.own) == (body, own) && read.stimuli == under)
 }
 

@@ -7,14 +7,14 @@ use super::setting::Setting;
 
 /// Initial or trained body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Body {
+pub enum BodyState {
     /// The body before training.
     Initial,
     /// The trained body: that of least test error.
     Optimised,
 }
 
-impl Body {
+impl BodyState {
     /// Both, in order.
     pub const ALL: [Self; 2] = [Self::Initial, Self::Optimised];
 
@@ -60,7 +60,7 @@ impl Set {
     }
 
     /// Column of a body's error in tables of trials.
-    pub fn column(self, body: Body) -> String {
+    pub fn column(self, body: BodyState) -> String {
         let kind = match self {
             Self::Test => "test_error",
             Self::Holdout => "holdout_error",
@@ -90,7 +90,7 @@ pub type CurvePoint = (u32, f64);
 
 /// Errors of a linear decoder of one memory on the bodies of a trial.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Reading {
+pub struct LinearErrors {
     /// Memory before and after an instant (s).
     pub memory: [f64; 2],
     /// Whether no other linear decoder of the trial has a longer memory.
@@ -101,9 +101,9 @@ pub struct Reading {
 
 /// Errors of a decoder on the casts of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CastReading {
+pub struct ReadingOnCasts {
     /// The body.
-    pub body: Body,
+    pub body: BodyState,
     /// The decoder.
     pub decoder: CastDecoder,
     /// Number of casts.
@@ -118,9 +118,9 @@ pub struct CastReading {
 
 /// Error of a linear decoder on a body under one kind of forces.
 #[derive(Debug, Clone, PartialEq)]
-pub struct UnderReading {
+pub struct UnderErrors {
     /// The body.
-    pub body: Body,
+    pub body: BodyState,
     /// Kind of forces.
     pub stimuli: String,
     /// Whether the decoder was fitted under these forces rather than those of the trial.
@@ -163,11 +163,11 @@ pub struct Trial {
     /// The same after long training.
     pub long_medians: [Option<f64>; 2],
     /// Errors of linear decoders, for any decoder of the trial. Empty before version 4.
-    pub readings: Vec<Reading>,
+    pub readings: Vec<LinearErrors>,
     /// Errors on casts of both bodies; empty without casts.
-    pub casts: Vec<CastReading>,
+    pub casts: Vec<ReadingOnCasts>,
     /// Errors of both bodies under other kinds of forces; empty without `evaluation.under`.
-    pub under: Vec<UnderReading>,
+    pub under: Vec<UnderErrors>,
     /// Errors of readouts of all tasks on both bodies; empty without `evaluation.tasks`.
     pub tasks: Vec<TaskReading>,
     /// Part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
@@ -193,17 +193,17 @@ pub struct Trial {
 
 impl Trial {
     /// Returns an error (%); `None` unless it is positive and finite.
-    pub fn error(&self, body: Body, set: Set) -> Option<f64> {
+    pub fn error(&self, body: BodyState, set: Set) -> Option<f64> {
         error_of(&self.errors, &self.medians, body, set)
     }
 
     /// Returns an error after long training (%); `None` unless it is positive and finite.
-    pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
+    pub fn long_error(&self, body: BodyState, set: Set) -> Option<f64> {
         error_of(&self.long_errors, &self.long_medians, body, set)
     }
 
     /// Returns the errors of the linear decoder with the longest memory.
-    pub fn longest_reading(&self) -> Option<&Reading> {
+    pub fn longest_reading(&self) -> Option<&LinearErrors> {
         self.readings.iter().find(|reading| reading.is_longest)
     }
 
@@ -254,7 +254,12 @@ impl Trial {
 }
 
 /// Returns an error of a body (%), if it is positive and finite.
-fn error_of(errors: &[[Option<f64>; 2]; 2], medians: &[Option<f64>; 2], body: Body, set: Set) -> Option<f64> {
+fn error_of(
+    errors: &[[Option<f64>; 2]; 2],
+    medians: &[Option<f64>; 2],
+    body: BodyState,
+    set: Set,
+) -> Option<f64> {
     let error = match set {
         Set::Test | Set::Holdout => errors[body as usize][set as usize],
         Set::Median => medians[body as usize],

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
-use metasense_schemas::record::Trial;
+use metasense_schemas::record::PlannedTrial;
 
 use crate::forecast::{Forecast, Planned};
 
@@ -57,7 +57,7 @@ impl View {
     }
 
     /// Adds a trial after `steps` of a body, or one whose body is `trained`. Of the trials with the same body, the first trains it.
-    pub fn add(&mut self, trial: &Trial, body: u32, steps: u32, trained: bool) {
+    pub fn add(&mut self, trial: &PlannedTrial, body: u32, steps: u32, trained: bool) {
         let trains = self.bodies.insert(body) && !trained;
         self.forecast.add(Planned::new(trial, if trains { steps } else { u32::MAX }));
         self.total += 1;

@@ -12,9 +12,9 @@ use metasense::cli::{self, Error};
 use metasense::control::Control;
 use metasense::engine::{self, Options, RerunPolicy, Silent};
 use metasense::exit::Exit;
-use metasense::plan::Trial;
+use metasense::plan::PlannedTrial;
 use metasense::print_line;
-use metasense::scheduler::{Outcome, Settings};
+use metasense::scheduler::{RunOutcome, Settings};
 use metasense::signals::Signals;
 use metasense::store::Store;
 use metasense_schemas::record::Parts;
@@ -91,7 +91,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         store.close().await?;
         return Ok(Exit::Interrupted);
     };
-    let work = |trial: &Trial| {
+    let work = |trial: &PlannedTrial| {
         let noop = Noop {
             steps: args.steps,
             millis: args.step_ms,
@@ -144,8 +144,8 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     });
     print_line!("{row}")?;
     Ok(match summary.outcome {
-        Outcome::Interrupted => Exit::Interrupted,
-        Outcome::Unfit(_) => Exit::Unfit,
+        RunOutcome::Interrupted => Exit::Interrupted,
+        RunOutcome::Unfit(_) => Exit::Unfit,
         _ if summary.view.failed > 0 => Exit::Failed,
         _ => Exit::Done,
     })
@@ -162,7 +162,7 @@ fn sweep() -> SweepSpec {
     .expect("the sweep of this bench is a sweep")
 }
 
-fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
+fn trials(sweep: &SweepSpec, count: u32) -> Vec<PlannedTrial> {
     let spec = |order: u32| TrialSpec {
         variation: None,
         body: sweep.body.clone(),
@@ -174,12 +174,17 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
         optimise: sweep.optimise.clone(),
         evaluation: sweep.evaluation.clone(),
         feasible: sweep.feasible,
-        point: metasense_schemas::spec::Point { panels: 1, sensors: 1, placement: order as usize, seed: 1 },
+        point: metasense_schemas::spec::SweepPoint {
+            panels: 1,
+            sensors: 1,
+            placement: order as usize,
+            seed: 1,
+        },
         panel_units: vec![0],
         sensor_units: vec![1],
     };
     (0..count)
-        .map(|order| Trial {
+        .map(|order| PlannedTrial {
             hash: format!("noop-{order:08}"),
             training: format!("noop-{order:08}"),
             spec: spec(order),

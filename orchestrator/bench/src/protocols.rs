@@ -15,9 +15,9 @@ use metasense::look::row;
 use metasense::look::{Axis, Plot, SERIES, Scale, Table, file};
 use metasense::say;
 use metasense_lab::prepare::evaluate_designs;
-use metasense_schemas::record::BodyEvaluation;
+use metasense_schemas::record::BodyRecord;
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 use serde_json::{Value, json};
 
 use crate::{append, file_name};
@@ -88,7 +88,7 @@ fn measure(args: &Args, path: &Path) -> Result<(), Error> {
     append(&args.append, &head, &table)
 }
 
-fn failed(failure: Failure) -> Error {
+fn failed(failure: NoResult) -> Error {
     Error::Usage(failure.to_string())
 }
 
@@ -109,11 +109,11 @@ fn initial_design(spec: &TrialSpec) -> Result<Vec<f64>, Error> {
         .map_err(|invalid| Error::Usage(invalid.to_string()))
 }
 
-fn holdout(body: &BodyEvaluation) -> Option<f64> {
+fn holdout(body: &BodyRecord) -> Option<f64> {
     network_mean(&body.networks, |network| network.error_holdout)
 }
 
-fn test(body: &BodyEvaluation) -> Option<f64> {
+fn test(body: &BodyRecord) -> Option<f64> {
     network_mean(&body.networks, |network| network.error_test)
 }
 

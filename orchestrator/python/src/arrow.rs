@@ -39,13 +39,13 @@ fn column<'a>(values: impl Iterator<Item = &'a Value> + Clone) -> ArrayRef {
 /// A table from a database: rows under named columns.
 ///
 /// `pandas.DataFrame`, `polars.DataFrame` and `pyarrow.table` accept it directly; `to_pandas` needs no pyarrow.
-#[pyclass(frozen, module = "metasense")]
-pub struct Table {
+#[pyclass(frozen, module = "metasense", name = "Table")]
+pub struct PyTable {
     rows: Rows,
     batch: RecordBatch,
 }
 
-impl From<Rows> for Table {
+impl From<Rows> for PyTable {
     fn from(rows: Rows) -> Self {
         let of = |i: usize| column(rows.rows.iter().map(move |row| &row[i]));
         let columns: Vec<ArrayRef> = (0..rows.columns.len()).map(of).collect();
@@ -60,7 +60,7 @@ impl From<Rows> for Table {
     }
 }
 
-impl Table {
+impl PyTable {
     fn values<'py>(&self, py: Python<'py>, column: usize) -> PyResult<Bound<'py, PyList>> {
         let values = self.rows.rows.iter().map(|row| object(py, &row[column]));
         PyList::new(py, values.collect::<PyResult<Vec<_>>>()?)
@@ -68,7 +68,7 @@ impl Table {
 }
 
 #[pymethods]
-impl Table {
+impl PyTable {
     /// Names of the columns.
     #[getter]
     fn columns(&self) -> Vec<&str> {
@@ -182,7 +182,7 @@ type Pickle<'py> = (Bound<'py, PyAny>, (Vec<String>, String));
 
 /// Restores a table from its pickle.
 #[pyfunction]
-pub fn unpickle_table(columns: Vec<String>, rows: &str) -> PyResult<Table> {
+pub fn unpickle_table(columns: Vec<String>, rows: &str) -> PyResult<PyTable> {
     let rows = serde_json::from_str(rows).map_err(|e| PyValueError::new_err(e.to_string()))?;
     Ok(Rows { columns, rows }.into())
 }

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use metasense::export::ligament::Cast;
+use metasense::export::ligament::CastMaterial;
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
 use metasense_lab::prepare::{placed, prepared};
@@ -12,7 +12,7 @@ use metasense_lab::replay::drawing;
 use metasense_lab::simulate::{forces, strike};
 use metasense_numerics::body::Ligament;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, tune};
-use metasense_numerics::feasible::Feasible;
+use metasense_numerics::feasible::FeasibleSet;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{Chip, Problem};
 use metasense_schemas::spec::TrialSpec;
@@ -24,8 +24,8 @@ use pyo3::prelude::*;
 
 use crate::arrays::{NumericArray, indices, numbers, parse_integer, vector};
 use crate::chosen::{Chosen, Pickled};
-use crate::inverse::Twin;
-use crate::simulation::{Chips, Simulation};
+use crate::inverse::PyTwin;
+use crate::simulation::{PyChips, PySimulation};
 use crate::threads::{PerProcess, Threads, threads};
 use crate::{chain, raised, unpickler};
 
@@ -33,14 +33,14 @@ use crate::{chain, raised, unpickler};
 ///
 /// Lengths are in mm, forces in N, times in s, masses in Mg. Methods release the interpreter's lock and compute on the
 /// body's own threads. Results are bit-identical for any number of threads.
-#[pyclass(frozen, module = "metasense")]
-pub struct Body {
+#[pyclass(frozen, module = "metasense", name = "Body")]
+pub struct PyBody {
     pub problem: Arc<Problem>,
     pub threads: Threads,
     hash: String,
     pub trial: TrialSpec,
     /// Per process: in a forked child, a mutex held by another thread is never released.
-    feasible: PerProcess<Arc<Mutex<Feasible>>>,
+    feasible: PerProcess<Arc<Mutex<FeasibleSet>>>,
     tuned: Option<Chosen>,
     /// The sensors' chips, computed on demand; locked only while the interpreter's lock is held.
     chips: Arc<Mutex<Option<Chip>>>,
@@ -54,17 +54,17 @@ pub fn unpickle_body(
     hash: String,
     threads: usize,
     tuned: Option<Pickled>,
-) -> PyResult<Body> {
+) -> PyResult<PyBody> {
     let trial = serde_json::from_str(trial)
         .map_err(|e| PyValueError::new_err(format!("the pickle of a body of another version: {e}")))?;
     let tuned = tuned.map(Chosen::unpickled).transpose()?;
     py.detach(|| {
         let problem = prepared(&trial).map_err(|e| raised(&e))?;
-        Ok(Body { tuned, ..Body::new(problem, Threads::new(threads)?, hash, trial) })
+        Ok(PyBody { tuned, ..PyBody::new(problem, Threads::new(threads)?, hash, trial) })
     })
 }
 
-impl Body {
+impl PyBody {
     fn new(problem: Problem, threads: Threads, hash: String, trial: TrialSpec) -> Self {
         let feasible = PerProcess::new(Arc::new(Mutex::new(problem.castable())));
         let (problem, chips) = (Arc::new(problem), Arc::default());
@@ -82,7 +82,7 @@ impl Body {
         Ok(Self::new(problem, threads, trial.hash.clone(), trial_spec))
     }
 
-    fn castable(&self, py: Python<'_>) -> Arc<Mutex<Feasible>> {
+    fn castable(&self, py: Python<'_>) -> Arc<Mutex<FeasibleSet>> {
         let make = || Ok::<_, Infallible>(Arc::new(Mutex::new(self.problem.castable())));
         self.feasible.get(py, make).unwrap_or_else(|never| match never {})
     }
@@ -115,7 +115,7 @@ impl Body {
     }
 
     /// The chips of a call's sensors with this seed, and a problem with these sensors.
-    fn chips(&self, py: Python<'_>, scene: &Scene, seed: u64) -> PyResult<Chips> {
+    fn chips(&self, py: Python<'_>, scene: &Scene, seed: u64) -> PyResult<PyChips> {
         let (mut problem, pool) = (Arc::clone(&self.problem), self.threads.pool(py)?);
         let own = scene.sensors == problem.scene.sensors;
         if !own {
@@ -132,7 +132,7 @@ impl Body {
         let remedy =
             "the spec's [sensors] describe no imperfection: set sensors.noise or leave noise_seed out";
         let chip = found.ok_or_else(|| PyValueError::new_err(format!("noise_seed = {seed}: {remedy}")))?;
-        Ok(Chips { problem, chip: chip.seeded(seed) })
+        Ok(PyChips { problem, chip: chip.seeded(seed) })
     }
 
     /// Force histories `first` to `first + count` (exclusive) of a set.
@@ -242,7 +242,7 @@ impl Material<'_> {
 }
 
 #[pymethods]
-impl Body {
+impl PyBody {
     /// The body of a trial in a spec file. `hash`: the beginning of the trial's hash; default: the first trial.
     #[staticmethod]
     #[pyo3(signature = (spec, hash=None, *, threads=1))]
@@ -476,7 +476,7 @@ impl Body {
         density: Option<f64>,
         noise_seed: Option<&Bound<'py, PyAny>>,
         tape: bool,
-    ) -> PyResult<Simulation> {
+    ) -> PyResult<PySimulation> {
         let design = self.design("alpha", alpha)?;
         let NumericArray { shape, values } = numbers("forces", forces)?;
         let mut scene = self.scene(&Material { stiffness, damping_ratio, density }, sensors)?;
@@ -484,7 +484,7 @@ impl Body {
         let (mut forces, pool) = (given.clone(), self.threads.pool(py)?);
         let seed = noise_seed.map(|seed| parse_integer("noise_seed", seed, 0..=u64::MAX)).transpose()?;
         let chips = seed.map(|seed| self.chips(py, &scene, seed)).transpose()?;
-        if let Some(Chips { problem, .. }) = &chips {
+        if let Some(PyChips { problem, .. }) = &chips {
             let (fine, of_motion) = problem.in_motion(&scene, &given);
             (scene, forces) = (fine.into_owned(), of_motion.into_owned());
         }
@@ -497,7 +497,7 @@ impl Body {
                 (reason.clone(), dynamics::simulate(&scene, &design, &forces, solver, tape, &pool))
             }
         });
-        Simulation::new(py, self.threads.clone(), scene, design, [given, forces], chips, reason, run)
+        PySimulation::new(py, self.threads.clone(), scene, design, [given, forces], chips, reason, run)
     }
 
     /// Fits a twin to records of a cast: forces (N, K, R + 1) (N) and the chips' readings (N, T, C). `alpha`: the design of
@@ -509,14 +509,14 @@ impl Body {
         forces: &Bound<'_, PyAny>,
         signals: &Bound<'_, PyAny>,
         alpha: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Twin> {
-        Twin::fitted(py, self, self.design_or_initial(alpha)?, forces, signals)
+    ) -> PyResult<PyTwin> {
+        PyTwin::fitted(py, self, self.design_or_initial(alpha)?, forces, signals)
     }
 
     /// Reads a twin (TOML from `metasense lab identify --out` or `Twin.save`). `alpha`: its design; default: the initial one.
     #[pyo3(signature = (file, alpha=None))]
-    fn read_twin(&self, file: PathBuf, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Twin> {
-        Twin::read(self, self.design_or_initial(alpha)?, file)
+    fn read_twin(&self, file: PathBuf, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<PyTwin> {
+        PyTwin::read(self, self.design_or_initial(alpha)?, file)
     }
 
     /// Draws the body as SVG; default: the initial body.
@@ -524,7 +524,7 @@ impl Body {
     fn draw(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<String> {
         let alpha = self.design_or_initial(alpha)?;
         let drawing = drawing(&self.trial, &alpha).map_err(|e| raised(&e))?;
-        let cast = Cast::new(&self.trial, &drawing, 1.0).map_err(|e| raised(&e))?;
+        let cast = CastMaterial::new(&self.trial, &drawing, 1.0).map_err(|e| raised(&e))?;
         Ok(sketch(&drawing, &[]).file("a metamaterial body", cast.ligament.width))
     }
 

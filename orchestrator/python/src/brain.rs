@@ -5,7 +5,7 @@ use metasense_numerics::brain::linear::{Lags, Linear, Sizes};
 use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::targets;
-use metasense_numerics::trial::{Decoder, Ridge, Samples};
+use metasense_numerics::trial::{Decoder, RidgeChoice, Samples};
 use metasense_worker::run::pool;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -137,7 +137,7 @@ impl LinearBrain {
         let [before, after] = slf.memory.unwrap_or([instants - 1; 2]);
         let decoder = Decoder {
             lags: Lags { before, after }.within(instants),
-            ridge: slf.ridge.map_or(Ridge::Auto, Ridge::Given),
+            ridge: slf.ridge.map_or(RidgeChoice::Auto, RidgeChoice::Given),
         };
         let (seed, pool) = (slf.seed, pool(1).map_err(|e| raised(&e))?);
         let fitted = py.detach(|| {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use metasense::analysis::{Question, Terms};
+use metasense::analysis::{DecisionTerms, Question};
 use metasense::control::run_of;
 use metasense::export::npz;
 use metasense::look::Table as Rows;
@@ -15,7 +15,7 @@ use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::arrow::Table;
+use crate::arrow::PyTable;
 use crate::body::read_plan;
 use crate::chain;
 use crate::threads::threads;
@@ -65,17 +65,17 @@ impl Database {
     }
 
     /// Runs one SQL statement, which cannot change the database; `metasense query DB` lists the views.
-    fn query(&self, py: Python<'_>, sql: &str) -> PyResult<Table> {
+    fn query(&self, py: Python<'_>, sql: &str) -> PyResult<PyTable> {
         Ok(self.asked(py, async |reader| reader.query::<Rows>(sql).await)?.into())
     }
 
     /// All trials, one row each (`v_trial`).
-    fn trials(&self, py: Python<'_>) -> PyResult<Table> {
+    fn trials(&self, py: Python<'_>) -> PyResult<PyTable> {
         self.query(py, "SELECT * FROM v_trial ORDER BY panels, sensors, units, placement, seed, hash")
     }
 
     /// The outer steps of the trial whose hash begins with `hash`, one row each (`v_step`).
-    fn steps(&self, py: Python<'_>, hash: &str) -> PyResult<Table> {
+    fn steps(&self, py: Python<'_>, hash: &str) -> PyResult<PyTable> {
         let table = self.asked(py, async |reader| {
             let named = quoted(&reader.hash_of(hash).await?);
             reader.query::<Rows>(&format!("SELECT * FROM v_step WHERE hash = {named} ORDER BY step")).await
@@ -115,14 +115,14 @@ impl Database {
     }
 
     /// Answers a question of `metasense analyse`, for instance "elbow", from the finished trials.
-    fn analyse(&self, py: Python<'_>, question: &str) -> PyResult<Table> {
+    fn analyse(&self, py: Python<'_>, question: &str) -> PyResult<PyTable> {
         let question = Question::from_str(question, false).map_err(|_| {
             let known = Question::value_variants().iter().filter_map(Question::to_possible_value);
             let known: Vec<String> = known.map(|value| value.get_name().to_owned()).collect();
             PyValueError::new_err(format!("question = {question:?}: must be one of {}", known.join(", ")))
         })?;
         let trials = self.asked(py, async |reader| finished_trials(reader).await)?;
-        Ok(py.detach(|| question.answer(&trials, Terms::default())).into())
+        Ok(py.detach(|| question.answer(&trials, DecisionTerms::default())).into())
     }
 
     /// Whether a run writes to the database.

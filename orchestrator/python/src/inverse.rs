@@ -12,32 +12,32 @@ use metasense_numerics::dynamics::Parameters;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 use metasense_source::Source;
-use metasense_worker::run::{Failure, Pool};
+use metasense_worker::run::{NoResult, Pool};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{NumericArray, numbers};
-use crate::body::Body;
+use crate::body::PyBody;
 use crate::brain::samples;
 use crate::threads::PerProcess;
 use crate::{chain, raised, unpickler};
 
 /// A twin: the cast of a body that best explains its records. Created by `Body.twin` or `Body.read_twin`.
-#[pyclass(frozen, module = "metasense")]
-pub struct Twin {
+#[pyclass(frozen, module = "metasense", name = "Twin")]
+pub struct PyTwin {
     twin: twin::Twin,
     trial: TrialSpec,
     design: Vec<f64>,
     ending: Option<String>,
 }
 
-impl Twin {
+impl PyTwin {
     /// Fits a twin to records of a body with this design.
     pub fn fitted(
         py: Python<'_>,
-        body: &Body,
+        body: &PyBody,
         design: Vec<f64>,
         forces: &Bound<'_, PyAny>,
         signals: &Bound<'_, PyAny>,
@@ -59,7 +59,7 @@ impl Twin {
     }
 
     /// Reads a twin of a body with this design from a file.
-    pub fn read(body: &Body, design: Vec<f64>, file: PathBuf) -> PyResult<Self> {
+    pub fn read(body: &PyBody, design: Vec<f64>, file: PathBuf) -> PyResult<Self> {
         let twin = read(&file, &body.trial, &design).map_err(|e| match e {
             MeasuredError::Unreadable { .. } => PyOSError::new_err(chain(&e)),
             MeasuredError::Spec(_) => PyValueError::new_err(chain(&e)),
@@ -79,18 +79,18 @@ pub fn unpickle_twin(
     text: String,
     turns: Vec<f64>,
     ending: Option<String>,
-) -> PyResult<Twin> {
+) -> PyResult<PyTwin> {
     let trial = serde_json::from_str(trial).map_err(|e| {
         PyValueError::new_err(format!("this twin was pickled by another version of metasense: {e}"))
     })?;
     let source = Source::new(Path::new("(pickle)"), text).map_err(|e| PyValueError::new_err(chain(&e)))?;
     let mut twin = parse(&source, &trial, &design).map_err(|e| PyValueError::new_err(chain(&e)))?;
     twin.cast.chips.turn = turns;
-    Ok(Twin { twin, trial, design, ending })
+    Ok(PyTwin { twin, trial, design, ending })
 }
 
 #[pymethods]
-impl Twin {
+impl PyTwin {
     /// RMS of the residual signals relative to the noise of the chips; about 1 if the twin explains its records.
     #[getter]
     fn misfit(&self) -> f64 {
@@ -154,7 +154,7 @@ impl Twin {
 }
 
 /// Checks signals (N, T, C) of a body's chips; `count`: the required N, if any.
-fn signals_of(body: &Body, count: Option<usize>, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+fn signals_of(body: &PyBody, count: Option<usize>, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     let (shape, values) = samples("signals", object)?;
     let expected = [count.unwrap_or(shape[0]), body.problem.scene.instants, body.problem.shape().inputs];
     match shape == expected {
@@ -175,7 +175,7 @@ fn begin(
     pool: Pool,
 ) -> PyResult<Sender<DecodeRequest>> {
     let (ask, request_receiver) = channel::<DecodeRequest>();
-    let (tell, ready_receiver) = channel::<Result<(), Failure>>();
+    let (tell, ready_receiver) = channel::<Result<(), NoResult>>();
     let work = move || {
         let made = with_brain(&problem, (&design, twin.as_ref()), &pool, |brain| {
             // the receiver may be gone
@@ -198,11 +198,11 @@ fn begin(
 /// It decodes the body of design `alpha` (default: the initial design), or the cast that `twin` describes. The noise is that of the
 /// spec's `sensors`, and at least the residual of the twin. The constructor simulates the trial's training samples; `fit` can then
 /// be called any number of times.
-#[pyclass(frozen, module = "metasense")]
-pub struct Inverse {
-    body: Py<Body>,
+#[pyclass(frozen, module = "metasense", name = "Inverse")]
+pub struct PyInverse {
+    body: Py<PyBody>,
     design: Vec<f64>,
-    twin: Option<Py<Twin>>,
+    twin: Option<Py<PyTwin>>,
     /// Channel to the thread that owns the decoder.
     ask: PerProcess<Sender<DecodeRequest>>,
     /// Number of samples of the last call that did not converge, and that the model does not explain.
@@ -210,14 +210,14 @@ pub struct Inverse {
 }
 
 #[pymethods]
-impl Inverse {
+impl PyInverse {
     #[new]
     #[pyo3(signature = (body, alpha=None, *, twin=None))]
     fn new(
         py: Python<'_>,
-        body: Py<Body>,
+        body: Py<PyBody>,
         alpha: Option<&Bound<'_, PyAny>>,
-        twin: Option<Py<Twin>>,
+        twin: Option<Py<PyTwin>>,
     ) -> PyResult<Self> {
         let own = body.get();
         let known = twin.as_ref().map(Py::get);
@@ -290,7 +290,7 @@ impl Inverse {
 }
 
 /// Constructor arguments except the twin.
-type ConstructorArgs<'py> = (Py<Body>, Option<Bound<'py, PyArray1<f64>>>);
+type ConstructorArgs<'py> = (Py<PyBody>, Option<Bound<'py, PyArray1<f64>>>);
 
 /// Forces, lower and upper ends of their bands.
 type Bands<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);

@@ -16,7 +16,7 @@ mod inverse;
 mod simulation;
 mod threads;
 
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -28,9 +28,9 @@ pyo3::create_exception!(
 );
 
 /// Converts a worker's failure to an exception.
-fn raised(failure: &Failure) -> PyErr {
+fn raised(failure: &NoResult) -> PyErr {
     match failure {
-        Failure::Rejected(what) => PyValueError::new_err(what.clone()),
+        NoResult::Rejected(what) => PyValueError::new_err(what.clone()),
         failure => PyRuntimeError::new_err(failure.to_string()),
     }
 }
@@ -60,15 +60,15 @@ mod _metasense {
     #[expect(non_upper_case_globals, reason = "Python's name for it")]
     const __version__: &str = env!("CARGO_PKG_VERSION");
     #[pymodule_export]
-    use super::arrow::{Table, unpickle_table};
+    use super::arrow::{PyTable, unpickle_table};
     #[pymodule_export]
-    use super::body::{Body, unpickle_body};
+    use super::body::{PyBody, unpickle_body};
     #[pymodule_export]
     use super::brain::LinearBrain;
     #[pymodule_export]
     use super::database::{Database, default_database};
     #[pymodule_export]
-    use super::inverse::{Inverse, Twin, unpickle_twin};
+    use super::inverse::{PyInverse, PyTwin, unpickle_twin};
     #[pymodule_export]
-    use super::simulation::Simulation;
+    use super::simulation::PySimulation;
 }

@@ -17,8 +17,8 @@ use crate::threads::Threads;
 use crate::{SimulationError, raised};
 
 /// A simulation: signals of the sensors, how each sample ended, and derivatives of the signals.
-#[pyclass(frozen, module = "metasense")]
-pub struct Simulation {
+#[pyclass(frozen, module = "metasense", name = "Simulation")]
+pub struct PySimulation {
     threads: Threads,
     scene: Scene,
     design: Vec<f64>,
@@ -26,19 +26,19 @@ pub struct Simulation {
     run: dynamics::Simulation,
     solver: String,
     signals: Py<PyArray3<f64>>,
-    chips: Option<Chips>,
+    chips: Option<PyChips>,
     /// R, the instants of the caller's forces.
     given: usize,
 }
 
 /// The chips that measured the signals.
-pub struct Chips {
+pub struct PyChips {
     /// Has the sensors of the simulation.
     pub problem: Arc<Problem>,
     pub chip: Chip,
 }
 
-impl Chips {
+impl PyChips {
     /// Readings of signals (N, ·, 3M) under the caller's forces; zero for failed samples.
     fn read(&self, signals: Vec<f64>, forces: &Forces, outcomes: &[Outcome]) -> Vec<f64> {
         let mut read = self.problem.read(signals, forces.samples);
@@ -50,14 +50,14 @@ impl Chips {
     }
 }
 
-impl Simulation {
+impl PySimulation {
     pub fn new(
         py: Python<'_>,
         threads: Threads,
         scene: Scene,
         design: Vec<f64>,
         [given, forces]: [Forces; 2],
-        chips: Option<Chips>,
+        chips: Option<PyChips>,
         solver: String,
         mut run: dynamics::Simulation,
     ) -> PyResult<Self> {
@@ -75,7 +75,7 @@ impl Simulation {
 
     /// Zeroes, in place, a cotangent or tangent where readings are at the limit of the range.
     fn within_range(&self, py: Python<'_>, cotangent: &mut [f64]) -> PyResult<()> {
-        let Some(Chips { chip, .. }) = &self.chips else { return Ok(()) };
+        let Some(PyChips { chip, .. }) = &self.chips else { return Ok(()) };
         chip.disturb_vjp(cotangent, self.signals.bind(py).try_readonly()?.as_slice()?);
         Ok(())
     }
@@ -106,7 +106,7 @@ impl Simulation {
 }
 
 #[pymethods]
-impl Simulation {
+impl PySimulation {
     /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero for failed samples. With
     /// `noise_seed`, (N, T, C·M), with the spec's C channels per sensor.
     #[getter]
@@ -237,7 +237,7 @@ impl Simulation {
         let found: Vec<Vec<f64>> =
             py.detach(|| pool.install(|| (0..samples).into_par_iter().map(differentiate_one).collect()));
         let mut found = found.concat();
-        if let Some(Chips { problem, .. }) = &self.chips {
+        if let Some(PyChips { problem, .. }) = &self.chips {
             found = problem.read(found, samples);
         }
         self.within_range(py, &mut found)?;
@@ -269,7 +269,7 @@ impl Simulation {
 /// Derivatives in α and in the forces.
 type DesignForceGradients<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
 
-impl Simulation {
+impl PySimulation {
     fn gradient(&self, py: Python<'_>, cotangent: &Bound<'_, PyAny>, wrt: Wrt) -> PyResult<Gradient> {
         self.taped()?;
         let NumericArray { shape, mut values } = numbers("cotangent", cotangent)?;
@@ -278,7 +278,7 @@ impl Simulation {
             self.has_own_forces()?;
         }
         self.within_range(py, &mut values)?;
-        if let Some(Chips { problem, .. }) = &self.chips {
+        if let Some(PyChips { problem, .. }) = &self.chips {
             values = problem.read_vjp(values, self.forces.samples);
         }
         let pool = self.threads.pool(py)?;

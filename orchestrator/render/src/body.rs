@@ -5,20 +5,20 @@ use maud::{Markup, html};
 use super::picture::{Legend, Picture, file};
 
 /// x and y (mm).
-pub type Point = [f64; 2];
+pub type Position = [f64; 2];
 
 /// Bounding box of a picture: left, top, width, height (mm), y downward.
-pub type Frame = [f64; 4];
+pub type ViewBox = [f64; 4];
 
 /// A body to be drawn; lengths in mm, y upward.
 #[derive(Debug, Clone, Default)]
 pub struct Sketch {
     /// Corners of every unit.
-    pub units: Vec<Vec<Point>>,
+    pub units: Vec<Vec<Position>>,
     /// Centroids of the units.
-    pub centroids: Vec<Point>,
+    pub centroids: Vec<Position>,
     /// Ends of every ligament.
-    pub ligaments: Vec<[Point; 2]>,
+    pub ligaments: Vec<[Position; 2]>,
     /// The two corners (unit, node) that each ligament joins.
     pub joints: Vec<[(usize, usize); 2]>,
     /// Input panels, as arrows.
@@ -45,7 +45,7 @@ pub struct Arrow {
     /// The unit.
     pub unit: usize,
     /// Where the force acts (mm, y upward).
-    pub foot: Point,
+    pub foot: Position,
     /// Unit vector of the force; `None`: a couple.
     pub direction: Option<[f64; 2]>,
     /// Sign of a couple: 1 is anticlockwise.
@@ -56,13 +56,13 @@ pub struct Arrow {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mark {
     /// Between two points.
-    Line(Point, Point),
+    Line(Position, Position),
     /// At a point, with the dot's radius.
-    Dot(Point, f64),
+    Dot(Position, f64),
 }
 
 /// A frame around all these bodies, for equal scales.
-pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
+pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> ViewBox {
     let (mut low, mut high, mut spacing) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], None);
     for sketch in bodies {
         spacing.get_or_insert(sketch.spacing);
@@ -79,7 +79,7 @@ pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
 
 /// Appearance of a unit.
 #[derive(Debug, Clone, Default)]
-pub struct Unit {
+pub struct UnitStyle {
     /// Class instead of the default.
     pub class: Option<String>,
     /// SVG transform.
@@ -90,7 +90,7 @@ pub struct Unit {
 
 /// What is numbered in a body. Numbered bodies have a scale bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Numbers {
+pub enum Numbering {
     /// Nothing.
     None,
     /// Units.
@@ -107,13 +107,19 @@ const INWARD: f64 = 0.25;
 
 impl Sketch {
     /// The body with default units.
-    pub fn picture(&self, view: Frame, title: &str, numbers: Numbers) -> Picture {
-        self.drawn(view, title, numbers, |_| Unit::default())
+    pub fn picture(&self, view: ViewBox, title: &str, numbers: Numbering) -> Picture {
+        self.drawn(view, title, numbers, |_| UnitStyle::default())
     }
 
     /// The body.
-    pub fn drawn(&self, view: Frame, title: &str, numbers: Numbers, unit: impl Fn(usize) -> Unit) -> Picture {
-        let size = if numbers == Numbers::All { 0.147 } else { 0.18 } * self.spacing;
+    pub fn drawn(
+        &self,
+        view: ViewBox,
+        title: &str,
+        numbers: Numbering,
+        unit: impl Fn(usize) -> UnitStyle,
+    ) -> Picture {
+        let size = if numbers == Numbering::All { 0.147 } else { 0.18 } * self.spacing;
         let bar = 10f64.powf(self.spacing.log10().floor());
         let [left, floor] = [view[0] + 0.5 * self.spacing, view[1] + view[3] - 0.25 * self.spacing];
         let index = |x: f64, y: f64, text: &str| {
@@ -134,12 +140,12 @@ impl Sketch {
             }
             @for (u, corners) in self.units.iter().enumerate() {
                 @let points = corners.iter().map(|[x, y]| format!("{x:.3},{:.3}", -y)).collect::<Vec<_>>().join(" ");
-                @let Unit { class: other, transform, style } = unit(u);
+                @let UnitStyle { class: other, transform, style } = unit(u);
                 polygon class=(other.unwrap_or_else(|| class(u))) points=(points) transform=[transform] style=[style] {}
             }
             @for at in &self.held { (mark(at, ["active", "active-node"])) }
             @for at in &self.broken { (mark(at, ["wrong", "wrong-node"])) }
-            @if numbers != Numbers::None {
+            @if numbers != Numbering::None {
                 @for (u, corners) in self.units.iter().enumerate() {
                     @let [x, y] = middle(corners);
                     // above a sensor's disc
@@ -149,7 +155,7 @@ impl Sketch {
                 path class="scale" d=(format!("M{left:.3} {floor:.3}h{bar}")) {}
                 (index(left + 0.5 * bar, floor - 0.4 * size, &format!("{bar} mm")))
             }
-            @if numbers == Numbers::All {
+            @if numbers == Numbering::All {
                 @for corners in &self.units {
                     @let [x, y] = middle(corners);
                     @for (p, q) in corners.iter().enumerate() {
@@ -166,7 +172,7 @@ impl Sketch {
     /// An SVG file of the body with ligaments of this width (mm) and all numbers, without active constraints.
     pub fn file(mut self, title: &str, width: f64) -> String {
         self.held.clear();
-        let mut picture = self.picture(frame([&self]), title, Numbers::All);
+        let mut picture = self.picture(frame([&self]), title, Numbering::All);
         picture.marks =
             html! { style { ".body .ligament{stroke-width:" (format!("{width:.3}")) "}" } (picture.marks) };
         file(&[picture], 1, 640.0, &Legend::default())
@@ -188,7 +194,7 @@ impl Sketch {
 }
 
 /// Arrows at the panels and dots at the sensors.
-fn panels_and_sensors(sketch: &Sketch, numbers: Numbers) -> Markup {
+fn panels_and_sensors(sketch: &Sketch, numbers: Numbering) -> Markup {
     let pitch = sketch.spacing;
     let arrow = |panel: &Arrow| {
         // the arrow ends at the point of action, or before a number there
@@ -197,7 +203,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: Numbers) -> Markup {
             return turning(panel.sense, [x, -y], pitch);
         };
         let before =
-            if numbers != Numbers::None && panel.foot == sketch.centroids[panel.unit] { 0.5 } else { 0.0 };
+            if numbers != Numbering::None && panel.foot == sketch.centroids[panel.unit] { 0.5 } else { 0.0 };
         let at = |along: f64, aside: f64| {
             let along = along - before;
             [x + pitch * (along * dx - aside * dy), -y + pitch * (along * dy + aside * dx)]
@@ -216,7 +222,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: Numbers) -> Markup {
             circle class="sensor" cx=(format!("{x:.2}")) cy=(format!("{:.2}", -y)) r=(format!("{:.2}", 0.17 * pitch)) {
                 title { "sensor " (m) ": unit " (unit) }
             }
-            @if numbers == Numbers::All {
+            @if numbers == Numbering::All {
                 text class="number" x=(format!("{x:.2}")) y=(format!("{:.2}", 1.0 - y)) { (m) }
             }
         }
@@ -224,7 +230,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: Numbers) -> Markup {
 }
 
 /// Three quarters of a circle around a point, and its tip; anticlockwise if `sense` is 1.
-fn turning(sense: f64, [x, y]: Point, pitch: f64) -> (String, String) {
+fn turning(sense: f64, [x, y]: Position, pitch: f64) -> (String, String) {
     let r = 0.36 * pitch;
     let at = |along: f64, aside: f64| format!("{:.2},{:.2}", x + sense * aside * pitch, y + along * pitch);
     let (from, sweep, top) = (x - sense * r, if sense > 0.0 { 0 } else { 1 }, y - r);
@@ -245,6 +251,6 @@ fn mark(at: &Mark, [line, dot]: [&str; 2]) -> Markup {
 }
 
 /// The mean of a unit's corners.
-pub fn middle(corners: &[Point]) -> Point {
+pub fn middle(corners: &[Position]) -> Position {
     [0, 1].map(|c| corners.iter().map(|q| q[c]).sum::<f64>() / corners.len() as f64)
 }

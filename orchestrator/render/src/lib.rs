@@ -23,4 +23,4 @@ pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level, page_style};
 pub use table::{Table, readable, short_hash};
-pub use write::{Data, Format, RowWriter, print_rows, standard_output};
+pub use write::{Format, PictureData, RowWriter, print_rows, standard_output};

@@ -2,7 +2,7 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::body::{Frame, Numbers, Point, Sketch, Unit, frame};
+use super::body::{Numbering, Position, Sketch, UnitStyle, ViewBox, frame};
 use super::picture::Picture;
 use super::style::level;
 
@@ -14,7 +14,7 @@ type State = Vec<[f64; 3]>;
 
 /// Motion of a body.
 #[derive(Debug, Clone, Copy)]
-pub struct Motion<'a> {
+pub struct DrawnMotion<'a> {
     /// Displacements per instant.
     pub displacements: &'a [State],
     /// Velocities per instant (mm/s, rad/s).
@@ -27,8 +27,8 @@ fn bare(sketch: &Sketch) -> Sketch {
 }
 
 /// A mode of a body: units displaced along its shape (u, v, θ), coloured by the travel of their centroids.
-pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], title: &str) -> Picture {
-    let moved = |u: usize, corner: &Point| {
+pub fn mode(sketch: &Sketch, frame: ViewBox, shape: &[[f64; 3]], travel: &[f64], title: &str) -> Picture {
+    let moved = |u: usize, corner: &Position| {
         let ([x, y], [du, dv, turn]) = (sketch.centroids[u], shape[u]);
         (du - turn * (corner[1] - y)).hypot(dv + turn * (corner[0] - x))
     };
@@ -40,17 +40,24 @@ pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], t
         let ([x, y], [du, dv, turn]) = (sketch.centroids[u], shape[u].map(|c| scale * c));
         let (y, dy, turn) = (-y, -dv, -turn.to_degrees());
         // the attribute is for still pictures; a page's style uses the variables
-        Unit {
+        UnitStyle {
             class: Some(format!("unit {}", level(travel[u] / farthest))),
             transform: Some(format!("translate({du:.2} {dy:.2}) rotate({turn:.2} {x:.2} {y:.2})")),
             style: Some(format!("--c:{x:.2}px {y:.2}px;--x:{du:.2}px;--y:{dy:.2}px;--t:{turn:.2}deg")),
         }
     };
-    Picture { class: "body mode", ..bare(sketch).drawn(frame, title, Numbers::None, unit) }
+    Picture { class: "body mode", ..bare(sketch).drawn(frame, title, Numbering::None, unit) }
 }
 
 /// A body at instant `n` of a motion, units coloured by speed relative to `most` (mm/s).
-pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f64, title: &str) -> Picture {
+pub fn snapshot(
+    sketch: &Sketch,
+    frame: ViewBox,
+    motion: DrawnMotion,
+    n: usize,
+    most: f64,
+    title: &str,
+) -> Picture {
     let mut moved = bare(sketch);
     for (unit, [u, v, angle]) in motion.displacements[n].iter().enumerate() {
         let [cx, cy] = sketch.centroids[unit];
@@ -62,21 +69,22 @@ pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f
         moved.centroids[unit] = [cx + u, cy + v];
     }
     let speed = |u: usize| motion.velocities[n][u][0].hypot(motion.velocities[n][u][1]);
-    let unit = |u| Unit { class: Some(format!("unit {}", level(speed(u) / most))), ..Unit::default() };
-    moved.drawn(frame, title, Numbers::None, unit)
+    let unit =
+        |u| UnitStyle { class: Some(format!("unit {}", level(speed(u) / most))), ..UnitStyle::default() };
+    moved.drawn(frame, title, Numbering::None, unit)
 }
 
 /// Bodies whose motion [`SCRIPT`] plays in `seconds`, coloured by speed relative to `most` (mm/s). Shows instant `start` at first.
 /// Without scripts, bodies stand still.
 pub fn animation(
-    bodies: &[(&str, &Sketch, Motion)],
-    frame: Frame,
+    bodies: &[(&str, &Sketch, DrawnMotion)],
+    frame: ViewBox,
     seconds: f64,
     most: f64,
     start: usize,
 ) -> Markup {
     // Centroids in µm; then u, v in µm, θ in 0.1 mrad, speed in thousandths of the fastest.
-    let numbers = |sketch: &Sketch, motion: &Motion| -> String {
+    let numbers = |sketch: &Sketch, motion: &DrawnMotion| -> String {
         let middles = sketch.centroids.iter().flat_map(|[x, y]| [1e3 * x, -1e3 * y]);
         let states = motion.displacements.iter().flatten().zip(motion.velocities.iter().flatten());
         let states = states
@@ -87,7 +95,7 @@ pub fn animation(
         div class="wave" data-duration=(seconds) data-start=(start) {
             div class="pair" {
                 @for (name, sketch, motion) in bodies {
-                    @let still = bare(sketch).picture(frame, &format!("{name} body in motion"), Numbers::None);
+                    @let still = bare(sketch).picture(frame, &format!("{name} body in motion"), Numbering::None);
                     div {
                         h3 { (name) " body" }
                         (still.svg(None))
@@ -109,12 +117,12 @@ pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let (at, first) = &designs[0];
     let still = Sketch { held: Vec::new(), ..first.clone() };
     let view = frame(designs.iter().map(|design| &design.1));
-    let still = still.picture(view, "The body during training", Numbers::None);
+    let still = still.picture(view, "The body during training", Numbering::None);
     // corners that ligaments join; then one line per design: step, all corners, displacements of panels and sensors (mm)
     let corner = |unit: usize| first.units[..unit].iter().map(Vec::len).sum::<usize>();
     let joints = first.joints.iter().flatten().map(|&(unit, node)| (corner(unit) + node).to_string());
     let point = |[x, y]: [f64; 2]| format!("{x:.3},{:.3}", -y);
-    let marks = |sketch: &Sketch| -> Vec<Point> {
+    let marks = |sketch: &Sketch| -> Vec<Position> {
         let units = sketch.panels.iter().map(|panel| &panel.unit).chain(&sketch.sensors);
         units.map(|unit| sketch.centroids[*unit]).collect()
     };

@@ -70,16 +70,16 @@ impl Table {
 
     /// The rows as CSV, see [`Data`].
     pub fn csv(&self) -> String {
-        let mut data = Data::new(&self.columns);
+        let mut data = PictureData::new(&self.columns);
         self.rows.iter().for_each(|row| data.row(row));
         data.text()
     }
 }
 
 /// Rows as CSV with seven significant digits, as data of pictures: a tenth of a table's memory.
-pub struct Data(csv::Writer<Vec<u8>>);
+pub struct PictureData(csv::Writer<Vec<u8>>);
 
-impl Data {
+impl PictureData {
     /// A header with these columns.
     pub fn new(columns: &[String]) -> Self {
         let mut csv = csv::Writer::from_writer(Vec::new());

@@ -9,8 +9,8 @@ use super::named::Database;
 use super::report::write_figures;
 use super::{Error, Format, print_rows, write};
 use crate::analysis::claims::{claims_table, evidence_table, is_other, tried};
-use crate::analysis::compare::Comparison;
-use crate::analysis::{Question, Terms, Trial};
+use crate::analysis::compare::TrialPairs;
+use crate::analysis::{DecisionTerms, Question, Trial};
 use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
@@ -42,7 +42,7 @@ pub(super) struct Args {
     #[arg(long, value_enum)]
     question: Vec<Question>,
     #[command(flatten)]
-    terms: Terms,
+    terms: DecisionTerms,
     /// With --question claims: also writes both tables of the claims and the trials (CSV), the figure (SVG) and a page
     /// (index.html)
     #[arg(long, value_name = "DIR", requires = "question", help_heading = "Output")]
@@ -159,7 +159,7 @@ async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Er
         Reader::with_reader(db, async |reader| Ok::<_, Error>(finished_trials(reader).await?)).await
     };
     let (a, b) = (trials(first).await?, trials(second).await?);
-    let found = Comparison::new(&a, &b);
+    let found = TrialPairs::new(&a, &b);
     let shown = |value: Option<&Value>| value.map_or("none".to_owned(), Value::to_string);
     for (path, [a, b]) in &found.differs {
         say!("{path}: {} in {}, {} in {}", shown(*a), first.display(), shown(*b), second.display());

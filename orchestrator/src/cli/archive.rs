@@ -13,7 +13,7 @@ use toml::de::{DeTable, DeValue};
 use super::named::Database;
 use super::report::{file_names, write_parts};
 use super::{Error, cores, make_folder, write};
-use crate::analysis::Terms;
+use crate::analysis::DecisionTerms;
 use crate::analysis::numbers::in_order;
 use crate::cluster::merge::{Extent, merge};
 use crate::exit::Exit;
@@ -56,7 +56,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return usage!("{}: must be a new or an empty folder", dir.display());
     }
     let asked = async |reader: &mut Reader| {
-        let story = load::story(reader, None, Terms::default()).await?;
+        let story = load::story(reader, None, DecisionTerms::default()).await?;
         Ok::<_, Error>((story, reader.query::<Table>(MADE).await?))
     };
     let (story, made) = Reader::with_reader(Database::at(db).await?, asked).await?;

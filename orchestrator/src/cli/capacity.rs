@@ -9,7 +9,7 @@ use super::{Error, Format, cores, print_rows};
 use crate::analysis::capacity::{CapacityResult, table};
 use crate::analysis::kinds::trained_with;
 use crate::analysis::tasks::trained_for;
-use crate::analysis::{Body, Trial};
+use crate::analysis::{BodyState, Trial};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::reader::StoredTrial;
@@ -53,7 +53,7 @@ fn of_trial(
     let instants = hold(spec).map_err(refused)?;
     let milliseconds = 1e3 * instants as f64 * time.duration / time.samples as f64;
     let mut bodies = Vec::new();
-    for body in Body::ALL {
+    for body in BodyState::ALL {
         let of = body as usize;
         let found = capacity(&stored.specs[of], &stored.designs[of], instants, cores()).map_err(refused)?;
         rows.extend(found.iter().map(|Measure { name: measure, value, bound }| {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use metasense_lab::casts::casts;
-use metasense_schemas::record::CastReading;
+use metasense_schemas::record::CastRecord;
 use metasense_schemas::spec::{Variation, VariationFile};
 use metasense_source::Source;
 use metasense_worker::problem::INVERTED_PER_CAST;
@@ -74,8 +74,8 @@ fn samples(reader: &str, holdout: usize) -> usize {
     if matches!(reader, "inverse" | "twin") { holdout.min(INVERTED_PER_CAST) } else { holdout }
 }
 
-fn row_per_cast(found: &[CastReading], holdout: usize) -> Table {
-    let row = |r: &CastReading| {
+fn row_per_cast(found: &[CastRecord], holdout: usize) -> Table {
+    let row = |r: &CastRecord| {
         let spread = r.spread.unwrap_or_default();
         let errors = row![r.error, spread.median, spread.p90, r.spread.map(|spread| spread.above)];
         let names = row![r.cast, &r.reader, r.records, samples(&r.reader, holdout)];
@@ -86,7 +86,7 @@ fn row_per_cast(found: &[CastReading], holdout: usize) -> Table {
 }
 
 /// Median, 90th percentile and worst error of each decoder over the casts.
-fn medians(found: &[CastReading], holdout: usize) -> Table {
+fn medians(found: &[CastRecord], holdout: usize) -> Table {
     let brains = found.iter().take_while(|reading| reading.cast == 0);
     let rows = brains.map(|brain| {
         let own = || found.iter().filter(|r| (&r.reader, r.records) == (&brain.reader, brain.records));

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_lab::check::{Level, check, read};
+use metasense_lab::check::{Severity, check, read};
 
 use super::named::Designed;
 use super::report::write_figures;
@@ -47,6 +47,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         write(&folder.join("records.csv"), records.csv())?;
         write(&folder.join("index.html"), pictures::html(&args.records, &checked, &figures))?;
     }
-    let fault = checked.findings.iter().any(|finding| finding.level == Level::Fault);
+    let fault = checked.findings.iter().any(|finding| finding.level == Severity::Fault);
     Ok(if fault { Exit::Failed } else { Exit::Done })
 }

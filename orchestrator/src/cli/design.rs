@@ -11,7 +11,7 @@ use crate::reader::Reader;
 use crate::report::search::{COLUMNS, SearchState};
 use crate::rounds::search;
 use crate::rounds::space::Space;
-use crate::scheduler::Outcome;
+use crate::scheduler::RunOutcome;
 use crate::signals::Signals;
 use tokio::sync::Notify;
 
@@ -62,7 +62,7 @@ pub(super) async fn end(
     plan: Plan,
     space: Space,
     format: Format,
-    outcome: Outcome,
+    outcome: RunOutcome,
 ) -> Result<Exit, Error> {
     let found = Reader::with_reader(db, async |reader| SearchState::of(reader, plan, space).await).await?;
     print_rows(&found.table(), format)?;
@@ -76,8 +76,8 @@ pub(super) async fn end(
         say!("  metasense export {} {} --format device{reader} --out device", db.display(), trial.hash);
     }
     Ok(match (outcome, chosen) {
-        (Outcome::Interrupted, _) => Exit::Interrupted,
-        (Outcome::Unfit(_), _) => Exit::Unfit,
+        (RunOutcome::Interrupted, _) => Exit::Interrupted,
+        (RunOutcome::Unfit(_), _) => Exit::Unfit,
         (_, None) => Exit::Failed,
         _ => Exit::Done,
     })

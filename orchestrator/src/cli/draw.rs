@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use metasense_lab::replay::{Drawing, Panel};
-use metasense_worker::design::{self, Feasible, overlaps};
+use metasense_worker::design::{self, FeasibleSet, overlaps};
 use metasense_worker::problem::external::body as external_body;
 
 use super::named::Named;
 use super::{Error, write};
 use crate::exit::Exit;
-use crate::look::body::{Numbers, frame, middle};
+use crate::look::body::{Numbering, frame, middle};
 use crate::look::file;
 use crate::report::body::sketch;
 
@@ -53,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Some(file) => design::read(file, &body.layout)?,
         None => body.initial.clone(),
     };
-    let feasible = Feasible::new(&body.layout, body.limits, &[]);
+    let feasible = FeasibleSet::new(&body.layout, body.limits, &[]);
     let violations = feasible.violations(&drawn);
     let active = feasible.active(&drawn);
     let verdict = match violations.is_empty() {
@@ -83,7 +83,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         units,
     };
     let sketch = sketch(&drawing, &violations);
-    let picture = sketch.picture(frame([&sketch]), &caption, Numbers::All);
+    let picture = sketch.picture(frame([&sketch]), &caption, Numbering::All);
     write(&args.out, file(&[picture], 1, 640.0, &sketch.legend()))?;
     if let Some(file) = &args.design_out {
         write(file, design::bytes(file, &body.layout, &drawn)?)?;

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use metasense_lab::evaluate::{
-    Effort, Evaluated, Network, NetworkStore, estimate_by_inverse, evaluate, evaluate_by_twin, parts,
+    Effort, Evaluated, FoldEstimates, NetworkStore, estimate_by_inverse, evaluate, evaluate_by_twin, parts,
     simulated,
 };
 use metasense_lab::inverse::holdout;
@@ -14,7 +14,7 @@ use metasense_lab::measured::Measured;
 use metasense_lab::twin::{self, Twin};
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 use metasense_worker::problem::external::polygons;
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 
 use super::named::{Named, read_records};
 use super::report::write_figures;
@@ -23,7 +23,7 @@ use super::{Error, Format, duration, end_on_signal, print_rows, write};
 use crate::analysis::records::SignalSource;
 use crate::exit::Exit;
 use crate::export::npz::Zip;
-use crate::report::records::{Body, Comparison};
+use crate::report::records::{BodyRecords, ComparableBodies};
 
 /// Compares bodies on measured signals, with decoders fitted to the records
 ///
@@ -234,7 +234,7 @@ fn compare(
     records: Vec<Records>,
     designs: &BTreeMap<String, Vec<f64>>,
     twins: &BTreeMap<String, Twin>,
-) -> Result<(Comparison, Unfinished<Networks>), Error> {
+) -> Result<(ComparableBodies, Unfinished<Networks>), Error> {
     let trial = &specs[0];
     check_records(args, specs, brain, &records, designs)?;
     let fewest = records.iter().map(|of| of.measured.forces.samples).min().unwrap_or(0);
@@ -269,8 +269,8 @@ fn compare(
             _ => evaluate(spec, measured, effort, threads, &kept),
         };
         found.map_err(|e| match e {
-            Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
-            Failure::Shortage(what) => Error::Short(what),
+            NoResult::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
+            NoResult::Shortage(what) => Error::Short(what),
             other => Error::Usage(format!("--records {name}: {other}")),
         })
     };
@@ -290,7 +290,7 @@ fn compare(
                     let judged = evaluate_signals(&name, SignalSource::Simulated.name(), &modelled)?;
                     Some((modelled.signals, judged))
                 }
-                Err(Failure::Numerical { detail: why, .. }) => {
+                Err(NoResult::Numerical { detail: why, .. }) => {
                     say!("{name}: the model cannot be simulated: {why}");
                     None
                 }
@@ -305,9 +305,9 @@ fn compare(
         };
         let twin = twins.get(&name).map(of_twin).transpose()?;
         let signals = measured.signals;
-        bodies.push(Body { name, by, signals, measured: by_measured, simulated: model, twin });
+        bodies.push(BodyRecords { name, by, signals, measured: by_measured, simulated: model, twin });
     }
-    Ok((Comparison::new(bodies, paired, trial), unfinished))
+    Ok((ComparableBodies::new(bodies, paired, trial), unfinished))
 }
 
 /// Refuses a single record where folds are needed, and two bodies with the same measured signals.
@@ -352,7 +352,7 @@ fn same_forces(a: &[f64], b: &[f64]) -> bool {
 }
 
 /// Whether all networks trained without failure; prints the other outcomes.
-fn all_trained(body: &Body) -> bool {
+fn all_trained(body: &BodyRecords) -> bool {
     fn own(of: &Option<(Vec<f64>, Evaluated)>) -> Option<&Evaluated> {
         of.as_ref().map(|(_, evaluated)| evaluated)
     }
@@ -372,7 +372,7 @@ fn all_trained(body: &Body) -> bool {
     well
 }
 
-fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
+fn write_parts(folder: &Path, comparison: &ComparableBodies) -> Result<(), Error> {
     let figures = comparison.figures();
     write_figures(folder, &figures)?;
     write(&folder.join("index.html"), comparison.html(&figures))?;
@@ -381,10 +381,10 @@ fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
 }
 
 /// All data of each record as NumPy arrays.
-fn archive(comparison: &Comparison) -> Vec<u8> {
+fn archive(comparison: &ComparableBodies) -> Vec<u8> {
     let [panels, instants, channels] = comparison.shape;
     let mut zip = Zip::default();
-    for Body { name, signals, measured, simulated, twin, .. } in &comparison.bodies {
+    for BodyRecords { name, signals, measured, simulated, twin, .. } in &comparison.bodies {
         let n = measured.folds.len();
         let forces = [n, instants, panels];
         let folds: Vec<i64> = measured.folds.iter().map(|fold| *fold as i64).collect();
@@ -412,7 +412,7 @@ fn archive(comparison: &Comparison) -> Vec<u8> {
 }
 
 /// Finished networks, or decoded parts, by body, kind of signals and number.
-type Networks = BTreeMap<(String, String, usize), Network>;
+type Networks = BTreeMap<(String, String, usize), FoldEstimates>;
 
 /// Stores finished networks; prints progress and the remaining time on standard error.
 struct Progress<'a> {
@@ -451,11 +451,11 @@ impl BodyProgress<'_> {
 }
 
 impl NetworkStore for BodyProgress<'_> {
-    fn network(&self, number: usize) -> Option<Network> {
+    fn network(&self, number: usize) -> Option<FoldEstimates> {
         self.of.said.lock().expect("no line panics").0.get(&self.key(number)).cloned()
     }
 
-    fn store_network(&self, number: usize, network: &Network) {
+    fn store_network(&self, number: usize, network: &FoldEstimates) {
         let Self { name: body, kind, of: Progress { what, all, unfinished, start, before, said } } = self;
         let mut finished_networks = said.lock().expect("no line panics");
         finished_networks.0.insert(self.key(number), network.clone());

@@ -17,7 +17,7 @@ use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
 use crate::export::ligament::impossible;
 use crate::look::{Table, number, row};
-use crate::plan::{Trial, counted};
+use crate::plan::{PlannedTrial, counted};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 ///
@@ -67,18 +67,19 @@ const LEAST_OSCILLATIONS: f64 = 0.1;
 const MOST_GRAMS: f64 = 1e5;
 
 /// Prints mass and natural frequencies of the bodies, and warns if they are implausible.
-fn say_bodies(trials: &[Trial]) {
+fn say_bodies(trials: &[PlannedTrial]) {
     let mut known = BTreeSet::new();
-    let body =
-        |trial: &&Trial| known.insert(serde_json::to_string(&trial.spec.body).expect("a body is JSON"));
-    let bodies: Vec<&Trial> = trials.iter().filter(body).take(BODIES).collect();
+    let body = |trial: &&PlannedTrial| {
+        known.insert(serde_json::to_string(&trial.spec.body).expect("a body is JSON"))
+    };
+    let bodies: Vec<&PlannedTrial> = trials.iter().filter(body).take(BODIES).collect();
     if let Some(why) = bodies.iter().find_map(|trial| impossible(&trial.spec)) {
         say!("warning: {why}");
     }
-    let mass = |trial: &&Trial| Some(measures(&trial.spec).ok()?[0]).filter(|m| m.is_finite());
+    let mass = |trial: &&PlannedTrial| Some(measures(&trial.spec).ok()?[0]).filter(|m| m.is_finite());
     let grams: Vec<f64> = bodies.iter().filter_map(mass).collect();
     // a body without small motions about rest has none
-    let found: Vec<(&Trial, Natural)> =
+    let found: Vec<(&PlannedTrial, Natural)> =
         bodies.iter().filter_map(|trial| Some((*trial, natural_frequencies(&trial.spec).ok()?))).collect();
     let range = |values: &[f64]| {
         let [least, most] = [f64::min, f64::max].map(|pick| values.iter().copied().reduce(pick));
@@ -111,7 +112,7 @@ fn say_bodies(trials: &[Trial]) {
         let [hz, count] = [*first, first * s].map(number);
         say!("warning: at {hz} Hz the slowest mode makes {count} oscillations in a sample of {s} s: {check}");
     }
-    let rate = |trial: &Trial| trial.spec.time.samples as f64 / trial.spec.time.duration;
+    let rate = |trial: &PlannedTrial| trial.spec.time.samples as f64 / trial.spec.time.duration;
     if let Some((trial, natural)) = found.iter().find(|(trial, natural)| natural.first > rate(trial)) {
         let [hz, rate] = [natural.first, rate(trial)].map(number);
         say!(
@@ -125,8 +126,8 @@ fn rounded(cost: f64) -> f64 {
     format!("{cost:.1e}").parse().expect("a number")
 }
 
-fn row(trial: &Trial, axes: &BTreeSet<&str>, text: fn(&Value) -> String) -> Vec<Value> {
-    let Trial { hash, spec, units, design_parameters, brain_parameters, .. } = trial;
+fn row(trial: &PlannedTrial, axes: &BTreeSet<&str>, text: fn(&Value) -> String) -> Vec<Value> {
+    let PlannedTrial { hash, spec, units, design_parameters, brain_parameters, .. } = trial;
     let point = spec.point;
     let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
     let mut row = row![

@@ -7,18 +7,18 @@ use metasense_lab::casts::NO_VARIATION;
 use metasense_lab::demands::Demands;
 use metasense_lab::replay::{Drawing, Replay, ReplayDecoder, drawing};
 use metasense_schemas::database::VIEWS;
-use metasense_worker::problem::Ligament;
+use metasense_worker::problem::LigamentMaterial;
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
 use super::{Error, cores, make_folder, write};
-use crate::analysis::Body;
+use crate::analysis::BodyState;
 use crate::exit::Exit;
 use crate::export::device::Numbers;
-use crate::export::ligament::Cast;
+use crate::export::ligament::CastMaterial;
 use crate::export::notes::notes;
 use crate::export::{
-    Fit, Mould, Outline, brain_of, device, dxf, mould, npz, onnx, replays, series, unreadable,
+    FitData, Mould, Outline, brain_of, device, dxf, mould, npz, onnx, replays, series, unreadable,
 };
 use crate::look::Format;
 use crate::provenance;
@@ -78,7 +78,7 @@ pub(super) struct Args {
     numbers: Option<Numbers>,
     /// The data to which the decoder is fitted, for c, onnx and device [default: design]
     #[arg(long, value_enum, help_heading = "Decoder")]
-    reader: Option<Fit>,
+    reader: Option<FitData>,
 }
 
 /// Default thickness of a mould's floor and rim (mm).
@@ -169,7 +169,7 @@ fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
     }
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     let height = height(stored, args);
-    let cast = || Cast::new(&stored.specs[which], body, height).map_err(unreadable(stored));
+    let cast = || CastMaterial::new(&stored.specs[which], body, height).map_err(unreadable(stored));
     let bytes = match args.format {
         Form::Npz => npz::of_trial(stored, cores(), &mut |what| say!("note: {what}"))?,
         Form::Csv => series::table(stored, &replays(stored, cores())?).written(Format::Csv),
@@ -198,7 +198,7 @@ fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
 }
 
 /// Writes the folder of a device after all files have been computed.
-fn device(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Result<(), Error> {
+fn device(stored: &StoredTrial, body: &Drawing, cast: &CastMaterial, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
     let (cavity, measures) = cavity(stored, body, cast, args)?;
     let brain = match has_form(stored, which) {
@@ -214,7 +214,7 @@ fn device(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Res
     };
     let text = brain.as_ref().map(|(c, _)| String::from_utf8_lossy(c));
     let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
-    let fit = args.reader.unwrap_or(Fit::Design);
+    let fit = args.reader.unwrap_or(FitData::Design);
     let notes = notes(stored, which, body, (cast, &cavity, &measures), (head, fit));
     let mut files = vec![
         ("mould.stl", mould::stl(&cavity, &measures)),
@@ -236,12 +236,12 @@ fn design(stored: &StoredTrial, args: &Args) -> Vec<u8> {
     npy_bytes(&[design.len()], design)
 }
 
-fn picture(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Vec<u8> {
-    let title = format!("{} body of trial {}", Body::ALL[args.design as usize].word(), stored.hash);
+fn picture(stored: &StoredTrial, body: &Drawing, cast: &CastMaterial, args: &Args) -> Vec<u8> {
+    let title = format!("{} body of trial {}", BodyState::ALL[args.design as usize].word(), stored.hash);
     sketch(body, &[]).file(&title, cast.ligament.width).into_bytes()
 }
 
-fn outlines(body: &Drawing, cast: &Cast) -> Vec<u8> {
+fn outlines(body: &Drawing, cast: &CastMaterial) -> Vec<u8> {
     dxf::dxf(body, cast.ligament.width, 0.17 * body.spacing).into_bytes()
 }
 
@@ -252,7 +252,7 @@ fn height(stored: &StoredTrial, args: &Args) -> f64 {
 }
 
 /// Prints what casting requires, and warns where the cast moves differently from the simulation.
-fn tell(cast: &Cast, body: &Drawing) {
+fn tell(cast: &CastMaterial, body: &Drawing) {
     cast.needs(body).iter().for_each(|need| say!("note: {need}"));
     cast.warnings(body).iter().for_each(|warning| say!("warning: {warning}"));
 }
@@ -263,15 +263,15 @@ fn brain(stored: &StoredTrial, args: &Args) -> Result<(Replay, ReplayDecoder), E
     if !has_form(stored, which) {
         return Err(no_form("--format c or onnx"));
     }
-    let fit = args.reader.unwrap_or(Fit::Design);
-    if fit == Fit::Casts && stored.specs[which].variation.is_none() {
+    let fit = args.reader.unwrap_or(FitData::Design);
+    if fit == FitData::Casts && stored.specs[which].variation.is_none() {
         return usage!("--reader casts: the trial has {NO_VARIATION}");
     }
     Ok(brain_of(stored, which, fit, cores())?)
 }
 
 fn encode_c(stored: &StoredTrial, args: &Args, brain: &(Replay, ReplayDecoder)) -> Result<Vec<u8>, Error> {
-    let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
+    let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(FitData::Design));
     Ok(device::c(stored, args.design as usize, fit, brain, numbers)?.into_bytes())
 }
 
@@ -280,7 +280,7 @@ fn source_in_c(stored: &StoredTrial, args: &Args) -> Result<Vec<u8>, Error> {
     if estimates_forces(stored) {
         return encode_c(stored, args, &brain(stored, args)?);
     }
-    if args.reader == Some(Fit::Casts) {
+    if args.reader == Some(FitData::Casts) {
         return usage!("--reader casts: the trial has {NO_VARIATION}");
     }
     let numbers = args.numbers.unwrap_or(Numbers::F32);
@@ -304,8 +304,13 @@ fn has_form(stored: &StoredTrial, which: usize) -> bool {
 }
 
 /// The cavity of the mould and the lengths of the mould; prints notes and warnings.
-fn cavity(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Result<(Outline, Mould), Error> {
-    let Ligament { width, thickness: height, .. } = cast.ligament;
+fn cavity(
+    stored: &StoredTrial,
+    body: &Drawing,
+    cast: &CastMaterial,
+    args: &Args,
+) -> Result<(Outline, Mould), Error> {
+    let LigamentMaterial { width, thickness: height, .. } = cast.ligament;
     let Lengths { wall, clearance, pocket, .. } = args.mould.unwrap_or_default();
     if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
         let what =

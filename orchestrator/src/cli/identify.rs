@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use indicatif::ProgressBar;
 use metasense_lab::identify::{
-    BOX, Ending, Estimate, Fit, Iteration, Offset, Parameter, Parameters, Turn, UNEXPLAINED, Unknown,
+    BOX, Ending, Estimate, Fit, FitIteration, Iteration, Offset, Parameter, Parameters, UNEXPLAINED, Unknown,
     identify,
 };
 use metasense_lab::measured::Measured;
@@ -86,11 +86,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let inputs = (spec, design, forces, signals, measured.low_pass, names);
     let (unfinished, kept) = Unfinished::new(args.out_dir.as_deref(), "identify", &inputs)?;
     let mut kept: Vec<StoredIteration> = kept.unwrap_or_default();
-    let prior_turns: Vec<Turn> = kept.iter().map(StoredIteration::turn).collect();
+    let prior_turns: Vec<FitIteration> = kept.iter().map(StoredIteration::turn).collect();
     if !prior_turns.is_empty() {
         say!("resumed after {} iterations", prior_turns.len());
     }
-    let mut watch = |turn: &Turn| {
+    let mut watch = |turn: &FitIteration| {
         kept.push(StoredIteration::of(turn));
         unfinished.keep(&kept);
         let i = turn.iteration;
@@ -166,16 +166,16 @@ struct StoredIteration {
 }
 
 impl StoredIteration {
-    fn of(turn: &Turn) -> Self {
+    fn of(turn: &FitIteration) -> Self {
         let Iteration { window, misfit, parameters } = turn.iteration;
         let (z, ending, steps) = (turn.z.clone(), turn.ending as usize, turn.steps);
         Self { window, misfit, parameters: parameters.array(), z, ending, steps }
     }
 
-    fn turn(&self) -> Turn {
+    fn turn(&self) -> FitIteration {
         let &Self { window, misfit, parameters, ending, steps, .. } = self;
         let iteration = Iteration { window, misfit, parameters: Parameters::from_array(parameters) };
-        Turn { iteration, z: self.z.clone(), ending: Ending::ALL[ending], steps }
+        FitIteration { iteration, z: self.z.clone(), ending: Ending::ALL[ending], steps }
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
-use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation, TrialResult};
+use metasense_schemas::record::{BodyRecord, NetworkRecord, TrialResult};
 use tokio::sync::Notify;
 
 use super::point::point_in_words;
@@ -16,9 +16,9 @@ use crate::engine::{View, Watch};
 use crate::exit::remedy;
 use crate::files::host;
 use crate::look::short_hash;
-use crate::plan::{Trial, counted};
+use crate::plan::{PlannedTrial, counted};
 use crate::provenance;
-use crate::scheduler::{Outcome, UNFIT_DEATHS};
+use crate::scheduler::{RunOutcome, UNFIT_DEATHS};
 
 /// Number of positions of the bar.
 const BAR: u64 = 10_000;
@@ -69,7 +69,7 @@ impl<'a> Live<'a> {
         live
     }
 
-    fn trial_label(&self, trial: &Trial) -> String {
+    fn trial_label(&self, trial: &PlannedTrial) -> String {
         let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
         let (point, units) = (point_in_words(&spec, &self.axes), counted(trial.units, "unit"));
         format!("{point}, {units} ({})", short_hash(&trial.hash))
@@ -84,7 +84,7 @@ impl<'a> Live<'a> {
 }
 
 impl Watch for Live<'_> {
-    fn done(&mut self, trial: &Trial, result: &TrialResult) {
+    fn done(&mut self, trial: &PlannedTrial, result: &TrialResult) {
         let before = match trial.spec.evaluation.initial {
             Some(false) => String::new(),
             _ => percent(&result.initial) + " -> ",
@@ -96,7 +96,14 @@ impl Watch for Live<'_> {
         }
     }
 
-    fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool, text: &str) {
+    fn attempt_failed(
+        &mut self,
+        trial: &PlannedTrial,
+        attempt: u32,
+        reason: Reason,
+        settled: bool,
+        text: &str,
+    ) {
         if reason == Reason::Cancelled {
             return self.say(&format!("cancelled: {}", self.trial_label(trial)));
         }
@@ -108,7 +115,7 @@ impl Watch for Live<'_> {
         self.say(&format!("attempt {attempt} failed: {}: {}; {then}", self.trial_label(trial), self.failed));
     }
 
-    fn begins_anew(&mut self, trial: &Trial, why: &str) {
+    fn begins_anew(&mut self, trial: &PlannedTrial, why: &str) {
         let label = self.trial_label(trial);
         self.say(&format!("restarting, because the checkpoint cannot be used: {label}: {why}"));
     }
@@ -167,7 +174,7 @@ impl Watch for Live<'_> {
         }
     }
 
-    fn end(&mut self, view: &View, outcome: Outcome) {
+    fn end(&mut self, view: &View, outcome: RunOutcome) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
         }
@@ -176,7 +183,7 @@ impl Watch for Live<'_> {
             let (part, error) = (100.0 * part, 100.0 * (estimate / actual - 1.0));
             tracing::info!(part_percent = part, error_percent = error, "error of the estimated time");
         }
-        if outcome == Outcome::Complete && !self.estimates.is_empty() {
+        if outcome == RunOutcome::Complete && !self.estimates.is_empty() {
             let texts = self.estimates.iter().map(|(part, estimate)| {
                 let error = 100.0 * (estimate / actual - 1.0);
                 format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
@@ -184,11 +191,11 @@ impl Watch for Live<'_> {
             let said = texts.collect::<Vec<_>>().join(", ");
             say!("took {}; estimates: {said} of the work", duration(actual));
         }
-        if outcome == Outcome::Interrupted {
+        if outcome == RunOutcome::Interrupted {
             let open = view.total - view.settled();
             say!("stopped with {} open; the same command resumes them", counted(open, "trial"));
         }
-        if let Outcome::Unfit(reason) = outcome {
+        if let RunOutcome::Unfit(reason) = outcome {
             let open = counted(view.total - view.settled(), "trial");
             let remedy = match reason {
                 Reason::OutOfMemory => "use fewer workers or threads, or a machine with more memory",
@@ -209,9 +216,9 @@ impl Watch for Live<'_> {
 }
 
 /// Mean held-out error, with the median over samples and the number of samples above 100 %, if any.
-fn percent(body: &BodyEvaluation) -> String {
+fn percent(body: &BodyRecord) -> String {
     let percent = |value: f64| format!("{value:.2} %");
-    let mean = |of: fn(&NetworkEvaluation) -> Option<f64>| network_mean(&body.networks, of).map(percent);
+    let mean = |of: fn(&NetworkRecord) -> Option<f64>| network_mean(&body.networks, of).map(percent);
     let above = most_above(&body.networks).filter(|above| *above > 0);
     let above =
         above.map_or(String::new(), |above| format!(", {} above 100 %", counted(above as usize, "sample")));

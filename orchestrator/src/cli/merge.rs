@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
 use crate::cluster::home::attempts;
-use crate::cluster::merge::{Extent, Kind, Summary, merge};
-use crate::cluster::state::{State, never_begun, states};
+use crate::cluster::merge::{Extent, FindingKind, Summary, merge};
+use crate::cluster::state::{ShardState, never_begun, states};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
@@ -66,7 +66,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         );
     }
     say!("database: {}", args.out.display());
-    let disagrees = summary.findings.iter().any(|f| [Kind::Damaged, Kind::Bits].contains(&f.kind));
+    let disagrees =
+        summary.findings.iter().any(|f| [FindingKind::Damaged, FindingKind::Bits].contains(&f.kind));
     Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
 }
 
@@ -76,7 +77,7 @@ pub(super) async fn merge_if_all_ended(folder: &Path, shard: Shard, out: &Path) 
         return Ok(());
     }
     let assignment = Assignment::in_folder(folder, &[], shard.count())?;
-    if !states(folder, &assignment, &HashMap::new()).await.iter().all(State::is_settled) {
+    if !states(folder, &assignment, &HashMap::new()).await.iter().all(ShardState::is_settled) {
         return Ok(());
     }
     if let Err(error) = execute(Args::folder(folder, out)).await {
@@ -102,7 +103,7 @@ pub(super) fn print_never_started(never: &[String], remedy: &str) {
 
 fn table(summary: &Summary) -> Table {
     let columns = "finding trial what kept other";
-    let row = |f: &crate::cluster::merge::Finding| {
+    let row = |f: &crate::cluster::merge::MergeFinding| {
         row![f.kind.name(), f.hash, f.what, f.kept.display().to_string(), f.other.display().to_string()]
     };
     Table::new(columns, summary.findings.iter().map(row))

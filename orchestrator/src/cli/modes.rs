@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_lab::modes::{Response, responses, slowest};
+use metasense_lab::modes::{FrequencyResponse, responses, slowest};
 
 use super::named::Designed;
 use super::{Error, Format, print_rows, write};
@@ -64,11 +64,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// One row per frequency and panel.
-fn table(frequencies: &[f64], found: &[Vec<Response>]) -> Table {
+fn table(frequencies: &[f64], found: &[Vec<FrequencyResponse>]) -> Table {
     let columns = "frequency panel a_x a_x_phase a_y a_y_phase omega omega_phase";
     let each = frequencies.iter().zip(found);
     let rows = each.flat_map(|(hertz, of)| of.iter().enumerate().map(move |of| (hertz, of)));
-    let row = |(hertz, (panel, response)): (&f64, (usize, &Response))| {
+    let row = |(hertz, (panel, response)): (&f64, (usize, &FrequencyResponse))| {
         let parts = response.iter().flat_map(|c| row![c.norm(), c.arg().to_degrees()]);
         row![hertz, panel].into_iter().chain(parts).collect()
     };

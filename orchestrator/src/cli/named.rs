@@ -9,9 +9,9 @@ use metasense_lab::measured::{self, Measured};
 use metasense_lab::simulate;
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use metasense_source::Source;
-use metasense_worker::design::Feasible;
+use metasense_worker::design::FeasibleSet;
 use metasense_worker::memory;
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 use metasense_worker::{design, problem};
 
 use super::spec_body::SpecBody;
@@ -21,7 +21,7 @@ use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
 use crate::files;
 use crate::look::{Table, short_hash};
-use crate::plan::{Plan, Trial, counted};
+use crate::plan::{Plan, PlannedTrial, counted};
 use crate::reader::{Reader, StoredTrial, quoted};
 use crate::report::load::finished_trials;
 use crate::store::StoreError;
@@ -229,7 +229,7 @@ impl Named {
     }
 
     /// The trial of the plan with the given hash; without a hash, `default`.
-    pub fn find_trial(&self, plan: &Plan, default: &Trial) -> Result<Trial, Error> {
+    pub fn find_trial(&self, plan: &Plan, default: &PlannedTrial) -> Result<PlannedTrial, Error> {
         let Some(hash) = self.hash_argument()? else { return Ok(default.clone()) };
         let path = self.source.display();
         let found = plan.find(hash).cloned();
@@ -278,7 +278,7 @@ impl Named {
         self.read_or(|plan| &plan.trials[0]).await
     }
 
-    async fn read_or(&self, default: impl Fn(&Plan) -> &Trial) -> Result<(String, TrialSpec), Error> {
+    async fn read_or(&self, default: impl Fn(&Plan) -> &PlannedTrial) -> Result<(String, TrialSpec), Error> {
         if !self.is_database() {
             let plan = self.plan()?;
             let trial = self.find_trial(&plan, default(&plan))?;
@@ -338,9 +338,9 @@ impl Named {
     }
 
     /// The error of a failed computation: the machine lacks resources, or the input is bad.
-    pub fn failed(&self, failure: Failure) -> Error {
+    pub fn failed(&self, failure: NoResult) -> Error {
         match failure {
-            Failure::Shortage(what) => Error::Short(what),
+            NoResult::Shortage(what) => Error::Short(what),
             failure => self.refused(failure),
         }
     }
@@ -370,7 +370,7 @@ impl Designed {
     /// Like [`Self::read`], with another default.
     pub async fn read_or(
         &self,
-        default: impl Fn(&Plan) -> &Trial,
+        default: impl Fn(&Plan) -> &PlannedTrial,
     ) -> Result<(String, TrialSpec, Vec<f64>), Error> {
         let (hash, spec, own) = match self.design {
             Design::Of(Which::Initial) | Design::File(_) => {
@@ -390,7 +390,7 @@ impl Designed {
         if let Design::File(file) = &self.design {
             let given = design::read(file, &layout)?;
             let limits = problem::limits(&spec.feasible).map_err(|e| self.trial.refused(e))?;
-            let broken = Feasible::new(&layout, limits, &[]).violations(&given);
+            let broken = FeasibleSet::new(&layout, limits, &[]).violations(&given);
             if let Some(first) = broken.first() {
                 say!(
                     "warning: {} violates {} of [feasible] and cannot be cast; the first: {first}. `metasense body project` repairs it",

@@ -8,9 +8,9 @@ use metasense_lab::replay::Drawing;
 use super::named::Designed;
 use super::{Error, Format, cores, print_rows, write};
 use crate::exit::Exit;
-use crate::look::body::{Numbers, Unit, frame};
+use crate::look::body::{Numbering, UnitStyle, frame};
 use crate::look::{Table, file, level, row};
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, PlannedTrial};
 use crate::report::body::sketch;
 
 /// Searches for the best units for sensors, and compares them with random placements
@@ -52,8 +52,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         };
         let mut key = drawn.legend();
         key.push(("speed", "rank of the error with a sensor on the unit".to_owned()));
-        let unit = |u| Unit { class: shade(u), ..Unit::default() };
-        let picture = drawn.drawn(frame([&drawn]), &caption, Numbers::All, unit);
+        let unit = |u| UnitStyle { class: shade(u), ..UnitStyle::default() };
+        let picture = drawn.drawn(frame([&drawn]), &caption, Numbering::All, unit);
         write(out, file(&[picture], 1, 640.0, &key))?;
         say!("written {}", out.display());
     }
@@ -61,7 +61,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// The first trial with the most sensors.
-fn most_sensors(plan: &Plan) -> &Trial {
+fn most_sensors(plan: &Plan) -> &PlannedTrial {
     let trials = plan.trials.iter().rev();
     trials.max_by_key(|trial| trial.spec.point.sensors).expect("a plan has a trial")
 }

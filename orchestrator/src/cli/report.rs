@@ -6,7 +6,7 @@ use clap::ValueEnum;
 
 use super::named::{Database, word};
 use super::{Error, cores, make_folder, write};
-use crate::analysis::{Question, Terms};
+use crate::analysis::{DecisionTerms, Question};
 use crate::exit::Exit;
 use crate::look::{Figure, Legend, Picture, file};
 use crate::reader::Reader;
@@ -31,7 +31,8 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), Terms::default()).await;
+    let asked =
+        async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), DecisionTerms::default()).await;
     let story = Reader::with_reader(Database::at(&args.db).await?, asked).await?;
     let (drawn, missing) = figures(&story, cores());
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));

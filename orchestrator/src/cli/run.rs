@@ -23,9 +23,9 @@ use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Control, Listener, Reread, WORKERS_MAX};
 use crate::engine::{self, EngineError, GRACE, Options, RerunPolicy};
 use crate::exit::{Exit, chain};
-use crate::plan::{GRACE_MAX, Plan, Trial, counted};
+use crate::plan::{GRACE_MAX, Plan, PlannedTrial, counted};
 use crate::rounds::{Runs, rounds};
-use crate::scheduler::{Outcome, Settings};
+use crate::scheduler::{RunOutcome, Settings};
 use crate::signals::Signals;
 use crate::sql::wait_for_locks;
 use crate::store::{RunPlan, Store, StoreError};
@@ -227,9 +227,9 @@ pub(super) async fn run(
     db: &Path,
     log: &Path,
     signals: &mut Signals,
-    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<Outcome>, Error>,
-) -> Result<(Outcome, Plan), Error> {
-    let late = |trial: &Trial| {
+    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<RunOutcome>, Error>,
+) -> Result<(RunOutcome, Plan), Error> {
+    let late = |trial: &PlannedTrial| {
         let [_, last] = trial.spec.stimuli.onset.filter(|onset| onset[1] >= trial.spec.time.duration)?;
         Some([last, trial.spec.time.duration])
     };
@@ -260,7 +260,7 @@ pub(super) async fn run(
             outcome
         }
     };
-    Ok((outcome.unwrap_or(Outcome::Complete), plan))
+    Ok((outcome.unwrap_or(RunOutcome::Complete), plan))
 }
 
 async fn run_open(
@@ -270,8 +270,8 @@ async fn run_open(
     log: &Path,
     signals: &mut Signals,
     control: &Control,
-    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<Outcome>, Error>,
-) -> Result<Option<Outcome>, Error> {
+    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<RunOutcome>, Error>,
+) -> Result<Option<RunOutcome>, Error> {
     let pages = match how.running.serve {
         Some(port) => Some(Pages::start(store.path(), port).await?),
         None => None,
@@ -335,7 +335,7 @@ pub(super) struct Round<'a> {
 }
 
 /// Runs all trials of a plan; with [until], those that its questions need.
-async fn run_plan(round: Round<'_>, again: RerunPolicy) -> Result<Option<Outcome>, Error> {
+async fn run_plan(round: Round<'_>, again: RerunPolicy) -> Result<Option<RunOutcome>, Error> {
     match round.plan.spec.until {
         None => all(round, again).await,
         Some(_) => rounds(round, again).await,
@@ -343,7 +343,7 @@ async fn run_plan(round: Round<'_>, again: RerunPolicy) -> Result<Option<Outcome
 }
 
 /// Runs all trials of a plan.
-async fn all(mut round: Round<'_>, again: RerunPolicy) -> Result<Option<Outcome>, Error> {
+async fn all(mut round: Round<'_>, again: RerunPolicy) -> Result<Option<RunOutcome>, Error> {
     round.run(&round.plan.trials, again).await
 }
 
@@ -370,12 +370,16 @@ impl Runs for Round<'_> {
         Ok(engine::reopen(self.store, hashes, again).await?)
     }
 
-    async fn run(&mut self, trials: &[Trial], again: RerunPolicy) -> Result<Option<Outcome>, Error> {
+    async fn run(
+        &mut self,
+        trials: &[PlannedTrial],
+        again: RerunPolicy,
+    ) -> Result<Option<RunOutcome>, Error> {
         let Self { store, plan, shard, log, signals, control, options, asked, .. } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
             say!("stopped before the first trial; the same command starts the run");
-            return Ok(Some(Outcome::Interrupted));
+            return Ok(Some(RunOutcome::Interrupted));
         };
         let (ours, workers, threads) = (open.len(), options.settings.workers, options.threads);
         let planned = RunPlan {
@@ -388,7 +392,7 @@ impl Runs for Round<'_> {
             // A shard without work records a run, so that it does not count as missing.
             if shard.is_some() {
                 let run = store.begin_run(&planned).await?;
-                store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
+                store.end_run(&run, name(RunOutcome::Complete), 0, 0).await?;
             }
             say!("nothing left to do: {} settled", counted(trials.len(), "trial"));
             return Ok(None);
@@ -396,14 +400,14 @@ impl Runs for Round<'_> {
         log::start(log)?;
         let run = store.begin_run(&planned).await?;
         let mut live = Live::new(ours, trials.len() - ours, workers, asked, plan.spec.sweep.keys());
-        let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
+        let work = |trial: &PlannedTrial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {
             Ok(summary) => {
                 store.end_run(&run, name(summary.outcome), summary.view.done, summary.view.failed).await
             }
             Err(EngineError::NoWorkers(_) | EngineError::Short(_)) => {
-                store.end_run(&run, name(Outcome::NoWorkers), 0, 0).await
+                store.end_run(&run, name(RunOutcome::NoWorkers), 0, 0).await
             }
             Err(_) => Ok(()),
         };
@@ -424,13 +428,13 @@ impl Runs for Round<'_> {
 }
 
 /// The name of an outcome in the database.
-fn name(outcome: Outcome) -> &'static str {
+fn name(outcome: RunOutcome) -> &'static str {
     match outcome {
-        Outcome::Complete => "complete",
-        Outcome::Interrupted => "interrupted",
-        Outcome::StoreBroken => "store_broken",
-        Outcome::NoWorkers => "no_workers",
-        Outcome::Unfit(_) => "unfit",
+        RunOutcome::Complete => "complete",
+        RunOutcome::Interrupted => "interrupted",
+        RunOutcome::StoreBroken => "store_broken",
+        RunOutcome::NoWorkers => "no_workers",
+        RunOutcome::Unfit(_) => "unfit",
     }
 }
 
@@ -439,13 +443,13 @@ pub(super) async fn end(
     results: Results<'_>,
     plan: &Plan,
     format: Format,
-    outcome: Outcome,
+    outcome: RunOutcome,
 ) -> Result<Exit, Error> {
     let failed = print_results(results, plan, format).await?;
     say!("database: {}", results.named.display());
     Ok(match outcome {
-        Outcome::Interrupted => Exit::Interrupted,
-        Outcome::Unfit(_) => Exit::Unfit,
+        RunOutcome::Interrupted => Exit::Interrupted,
+        RunOutcome::Unfit(_) => Exit::Unfit,
         _ if failed > 0 => Exit::Failed,
         _ => Exit::Done,
     })

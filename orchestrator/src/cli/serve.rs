@@ -10,7 +10,7 @@ use super::{Error, end_with};
 use crate::cluster::home::attempts;
 use crate::exit::Exit;
 use crate::reader::Reader;
-use crate::serve::{Address, ServerState, Source, Token, serve};
+use crate::serve::{Address, ServerState, Token, WatchedDatabase, serve};
 use crate::signals::Signals;
 
 /// Shows databases in a browser, live, until Ctrl-C
@@ -92,8 +92,11 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let listener = TcpListener::bind(args.listen).await.map_err(&failed)?;
     let at = listener.local_addr().map_err(failed)?;
     let scratch = Error::io("making a folder in", std::env::temp_dir());
-    let sources =
-        paths.iter().map(|path| Source::new(path)).collect::<Result<Vec<_>, _>>().map_err(scratch)?;
+    let sources = paths
+        .iter()
+        .map(|path| WatchedDatabase::new(path))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(scratch)?;
     let random = Error::io("reading", "/dev/urandom");
     let (reading, key) = Token::new().map_err(&random)?;
     let steering = args.control.then(Token::new).transpose().map_err(random)?;

@@ -2,7 +2,7 @@
 
 use metasense_schemas::spec::{Body, SweepSpec, TrialSpec};
 use metasense_source::{Source, SpecError};
-use metasense_worker::design::{Feasible, Layout, Limits};
+use metasense_worker::design::{FeasibleSet, Layout, Limits};
 use metasense_worker::problem::{self, Invalid, Panel};
 
 use crate::plan::{check_placements, combinations, layout, located, placement, with_design, with_file};
@@ -14,7 +14,7 @@ pub struct SpecBody {
     /// Limits of its designs.
     pub limits: Limits,
     /// Feasible designs; `None` if the trials of the sweep move the body in different ways.
-    pub castable: Option<Feasible>,
+    pub castable: Option<FeasibleSet>,
     /// The initial design; it may be infeasible.
     pub initial: Vec<f64>,
     /// Clamped units.

@@ -12,11 +12,11 @@ use super::point::point_in_words;
 use super::{Error, Format, print_rows};
 use crate::cluster::Assignment;
 use crate::cluster::queue;
-use crate::cluster::state::{self, State};
+use crate::cluster::state::{self, ShardState};
 use crate::control::is_held;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::plan::{Trial, counted};
+use crate::plan::{PlannedTrial, counted};
 use crate::progress::FAILED;
 use crate::provenance;
 use crate::reader::{Nearest, Reader, quoted};
@@ -129,7 +129,7 @@ async fn print_trial(reader: &mut Reader, hash: &str, format: Format) -> Result<
 }
 
 /// Prints a trial of a spec, or the keys in which the nearest stored trial differs.
-async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error> {
+async fn planned(db: &Path, trial: &PlannedTrial, format: Format) -> Result<Exit, Error> {
     let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
     Reader::with_reader(db, async |reader| {
         let Some(nearest) = reader.nearest(&spec).await? else {
@@ -193,7 +193,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
     let states = state::states(&folder, &assignment, &queued).await;
     let columns = "shard state trials done failed estimated_seconds seconds outcome ran_on handed_in_ago";
-    let row = |s: &State| {
+    let row = |s: &ShardState| {
         let trials = |i: usize| s.trials.map(|trials| trials[i]);
         let run = s.run.as_ref();
         let tenths = |x: f64| (x * 10.0).round() / 10.0;
@@ -213,7 +213,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let rows = states.iter().map(row);
     print_rows(&Table::new(columns, rows), format)?;
     let complete = states.iter().filter(|s| s.state == "complete").count();
-    let (waiting, ended): (Vec<&State>, Vec<&State>) =
+    let (waiting, ended): (Vec<&ShardState>, Vec<&ShardState>) =
         states.iter().filter(|s| !s.is_settled()).partition(|s| queued.contains_key(&s.shard.index()));
     let (path, all, waiting) = (folder.display(), states.len(), waiting.len());
     say!("{path}: {complete} of {all} shards complete, {waiting} in the queue");

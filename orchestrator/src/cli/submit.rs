@@ -17,14 +17,14 @@ use crate::cluster::home::{SUBMITTED_SPEC, attempts};
 use crate::cluster::places::{self, HostSlot, LaunchConfig, ShardsOutcome};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::scheduler::{QueueCommands, SchedulerName, SubmitOption};
-use crate::cluster::state::{State, states};
+use crate::cluster::state::{ShardState, states};
 use crate::cluster::submit::{
     MERGE, QueueOptions, ShardLimits, Submission, estimate, line, planned, seconds,
 };
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
 use crate::files;
-use crate::plan::{Plan, Trial, counted};
+use crate::plan::{Plan, PlannedTrial, counted};
 use crate::reader::Reader;
 use crate::signals::Signals;
 
@@ -105,7 +105,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let settled = if in_rounds { HashMap::new() } else { settled(&out).await? };
     let is_settled =
         |hash: &str| settled.get(hash).is_some_and(|has_failed| !(*has_failed && args.retry_failed));
-    let left_out: Vec<Trial> = plan.trials.extract_if(.., |trial| is_settled(&trial.hash)).collect();
+    let left_out: Vec<PlannedTrial> = plan.trials.extract_if(.., |trial| is_settled(&trial.hash)).collect();
     cost::first_trains(&mut plan.trials);
     let shards = match (args.shards, earlier_count) {
         (Some(asked), Some(earlier_count)) if asked != earlier_count => {
@@ -141,8 +141,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let states = states(&folder, &assignment, &HashMap::new()).await;
     let never_begun = states.iter().flat_map(|state| &state.never).map(String::as_str);
     assignment.leave_out(&never_begun.filter(|hash| is_settled(hash)).collect());
-    let failed = |state: &State| state.failures.iter().filter(|hash| !is_settled(hash)).count();
-    let with_failures: Vec<&State> = states.iter().filter(|state| failed(state) > 0).collect();
+    let failed = |state: &ShardState| state.failures.iter().filter(|hash| !is_settled(hash)).count();
+    let with_failures: Vec<&ShardState> = states.iter().filter(|state| failed(state) > 0).collect();
     if !with_failures.is_empty() && !args.retry_failed {
         let trials = counted(with_failures.iter().map(|state| failed(state)).sum(), "trial");
         let shards: Vec<u32> = with_failures.iter().map(|state| state.shard.index()).collect();
@@ -150,7 +150,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let unsettled = |hashes: &[String]| hashes.iter().any(|hash| !is_settled(hash));
     // a shard that has handed in nothing still needs a database, even without trials
-    let has_work = |state: &&State| {
+    let has_work = |state: &&ShardState| {
         let nothing = state.trials.is_none() && state.open.is_empty();
         nothing || unsettled(&state.open) || args.retry_failed && unsettled(&state.failures)
     };
@@ -359,7 +359,7 @@ impl Program {
 }
 
 /// Prints what will be submitted, with estimated times.
-fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
+fn say(trials: &[PlannedTrial], assignment: &Assignment, submission: &Submission) {
     let Submission { shards, which, limits: ShardLimits { cpus, seconds, .. }, .. } = submission;
     let (mean, longest) = estimate(trials, assignment, *cpus);
     let limit = match submission.has_queue() {

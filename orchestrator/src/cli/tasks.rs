@@ -1,6 +1,6 @@
 //! `tasks`: estimates quantities other than forces from the signals of finished bodies.
 
-use metasense_lab::tasks::{Task, tasks};
+use metasense_lab::tasks::{SensingTask, tasks};
 use metasense_schemas::record::TaskReading;
 use serde_json::Value;
 
@@ -8,7 +8,7 @@ use super::named::Finished;
 use super::{Error, Format, cores, print_rows};
 use crate::analysis::kinds::trained_with;
 use crate::analysis::tasks::{matrix, results, table, trained_for};
-use crate::analysis::{Body, Cluster, Trial};
+use crate::analysis::{BodyState, Cluster, Trial};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::reader::StoredTrial;
@@ -34,9 +34,9 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let lacks_estimates = |trial: &Trial| Body::ALL.iter().any(|body| !has_estimates(trial, *body));
+    let lacks_estimates = |trial: &Trial| BodyState::ALL.iter().any(|body| !has_estimates(trial, *body));
     let trials = args.trials.visit(lacks_estimates, estimate).await?;
-    let names = Task::ALL.map(|task| task.name().0);
+    let names = SensingTask::ALL.map(|task| task.name().0);
     let is_constant = |name: &&str| trials[0].tasks.iter().all(|read| read.task != *name);
     let constant: Vec<&str> = names.into_iter().filter(is_constant).collect();
     if !constant.is_empty() {
@@ -66,19 +66,19 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-fn has_estimates(trial: &Trial, body: Body) -> bool {
+fn has_estimates(trial: &Trial, body: BodyState) -> bool {
     trial.tasks.iter().any(|read| read.body == body.name())
 }
 
 /// Adds the estimates that the trial has not stored.
 fn estimate(stored: &StoredTrial, trial: &mut Trial) -> Result<(), Error> {
-    for body in Body::ALL.into_iter().filter(|body| !has_estimates(trial, *body)).collect::<Vec<_>>() {
+    for body in BodyState::ALL.into_iter().filter(|body| !has_estimates(trial, *body)).collect::<Vec<_>>() {
         let of = body as usize;
         let found = tasks(&stored.specs[of], of, &stored.designs[of], cores())
             .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
         trial.tasks.extend(found);
     }
-    trial.tasks.sort_by_key(|read| read.body != Body::Initial.name());
+    trial.tasks.sort_by_key(|read| read.body != BodyState::Initial.name());
     Ok(())
 }
 

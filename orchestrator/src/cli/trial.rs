@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord};
-use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
+use metasense_schemas::record::{BodyRecord, Checkpoint, NetworkRecord, StepRecord};
+use metasense_worker::run::{LoopControl, NoResult, ObserveTrial, pool, run_trial};
 use serde_json::json;
 
 use super::named::Named;
@@ -39,12 +39,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let start = Instant::now();
     let result = match pool(args.threads.into()).and_then(|pool| run_trial(&spec, None, &pool, &mut Steps)) {
         Ok(result) => result,
-        Err(failure @ (Failure::Numerical { .. } | Failure::Body { .. } | Failure::Stopped)) => {
+        Err(failure @ (NoResult::Numerical { .. } | NoResult::Body { .. } | NoResult::Stopped)) => {
             say!("failed: trial {hash}: {failure}");
             return Ok(Exit::Failed);
         }
-        Err(Failure::Shortage(what)) => return Err(Error::Short(what)),
-        Err(failure @ Failure::Rejected(_)) => return usage!("trial {hash}: {failure}"),
+        Err(NoResult::Shortage(what)) => return Err(Error::Short(what)),
+        Err(failure @ NoResult::Rejected(_)) => return usage!("trial {hash}: {failure}"),
     };
     let seconds = start.elapsed().as_secs_f64();
     let mut table = Table::default();
@@ -60,7 +60,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     add("holdout_above_initial", json!(most_above(&result.initial.networks)));
     add("holdout_above_optimised", json!(most_above(&result.optimised.networks)));
-    let long = |body: &BodyEvaluation| network_mean(&body.long, |n| n.error_holdout);
+    let long = |body: &BodyRecord| network_mean(&body.long, |n| n.error_holdout);
     if !result.initial.long.is_empty() {
         add("long_holdout_error_initial", json!(long(&result.initial)));
         add("long_holdout_error_optimised", json!(long(&result.optimised)));
@@ -75,7 +75,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-type ErrorOf = fn(&NetworkEvaluation) -> Option<f64>;
+type ErrorOf = fn(&NetworkRecord) -> Option<f64>;
 const ERRORS: &[(&str, ErrorOf)] = &[
     ("test_error", |n| n.error_test),
     ("holdout_error", |n| n.error_holdout),
@@ -85,14 +85,14 @@ const ERRORS: &[(&str, ErrorOf)] = &[
 /// Prints one line per step.
 struct Steps;
 
-impl Observe for Steps {
-    fn progress(&mut self) -> Control {
-        Control::Continue
+impl ObserveTrial for Steps {
+    fn progress(&mut self) -> LoopControl {
+        LoopControl::Continue
     }
 
     fn save(&mut self, _: Checkpoint) {}
 
-    fn step(&mut self, record: StepRecord, _: Checkpoint) -> Control {
+    fn step(&mut self, record: StepRecord, _: Checkpoint) -> LoopControl {
         let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.4}"));
         let s = record.seconds;
         say!(
@@ -109,6 +109,6 @@ impl Observe for Steps {
             s.implicit,
             s.project,
         );
-        Control::Continue
+        LoopControl::Continue
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_lab::verify::{self, Row};
+use metasense_lab::verify::{self, ComparedQuantity};
 use metasense_worker::run::Pool;
 use serde_json::Value;
 
@@ -39,7 +39,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
 }
 
-fn values(row: &Row) -> Vec<Value> {
-    let Row { case, quantity, error, tolerance, pass, note } = row;
+fn values(row: &ComparedQuantity) -> Vec<Value> {
+    let ComparedQuantity { case, quantity, error, tolerance, pass, note } = row;
     row![case, quantity, error, tolerance, pass, note]
 }

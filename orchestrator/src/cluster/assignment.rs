@@ -15,7 +15,7 @@ use metasense_lab::cost;
 use super::Shard;
 use super::home::attempts;
 use crate::files;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, PlannedTrial};
 
 /// The shard of each trial, by its hash.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -62,7 +62,7 @@ impl<'a> ShardLoads<'a> {
         Self { loads: vec![0; shards as usize], order, homes: HashMap::new() }
     }
 
-    fn put(&mut self, trial: &'a Trial, shard: u32) {
+    fn put(&mut self, trial: &'a PlannedTrial, shard: u32) {
         let trains = self.homes.entry(&trial.training).or_default().insert(shard);
         let load = &mut self.loads[shard as usize - 1];
         self.order.remove(&(*load, shard));
@@ -72,7 +72,7 @@ impl<'a> ShardLoads<'a> {
 
     /// The shard that trains the trial's body, unless its load is so high that training the body again on the least busy shard
     /// pays.
-    fn shard_for(&self, trial: &Trial) -> u32 {
+    fn shard_for(&self, trial: &PlannedTrial) -> u32 {
         let (least, shard) = *self.order.first().expect("there is a shard");
         let homes = self.homes.get(&*trial.training).into_iter().flatten();
         let home = homes.map(|home| (self.loads[*home as usize - 1], *home)).min();
@@ -85,7 +85,7 @@ impl<'a> ShardLoads<'a> {
 
 impl Assignment {
     /// Assigns new trials.
-    pub fn new(trials: &[Trial], shards: u32) -> Self {
+    pub fn new(trials: &[PlannedTrial], shards: u32) -> Self {
         let mut assignment = Self { shards, of: BTreeMap::new() };
         assignment.add(trials);
         assignment
@@ -95,7 +95,7 @@ impl Assignment {
     ///
     /// # Errors
     /// If the file is unreadable, or lost although databases exist.
-    pub fn in_folder(folder: &Path, trials: &[Trial], shards: u32) -> Result<Self, AssignmentError> {
+    pub fn in_folder(folder: &Path, trials: &[PlannedTrial], shards: u32) -> Result<Self, AssignmentError> {
         let mut assignment = Self { shards, of: BTreeMap::new() };
         let path = folder.join(file_name(shards));
         match std::fs::read_to_string(&path) {
@@ -125,7 +125,7 @@ impl Assignment {
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub fn write_trials(&self, folder: &Path, trials: &[Trial]) -> Result<(), AssignmentError> {
+    pub fn write_trials(&self, folder: &Path, trials: &[PlannedTrial]) -> Result<(), AssignmentError> {
         let mut texts = vec![String::new(); self.shards as usize];
         for trial in trials {
             let text = &mut texts[self.shard(&trial.hash) as usize - 1];
@@ -163,7 +163,7 @@ impl Assignment {
     }
 
     /// Removes all other trials, which the spec no longer contains.
-    pub fn keep<'a>(&mut self, trials: impl Iterator<Item = &'a Trial>) {
+    pub fn keep<'a>(&mut self, trials: impl Iterator<Item = &'a PlannedTrial>) {
         let kept: HashSet<&str> = trials.map(|trial| trial.hash.as_str()).collect();
         self.of.retain(|hash, _| kept.contains(hash.as_str()));
     }
@@ -174,8 +174,9 @@ impl Assignment {
     }
 
     /// Assigns unassigned trials only: first one trial per body, then those whose body is already in training.
-    fn add(&mut self, trials: &[Trial]) {
-        let (mut dealt, mut new) = (ShardLoads::new(self.shards), BTreeMap::<&str, Vec<&Trial>>::new());
+    fn add(&mut self, trials: &[PlannedTrial]) {
+        let (mut dealt, mut new) =
+            (ShardLoads::new(self.shards), BTreeMap::<&str, Vec<&PlannedTrial>>::new());
         for trial in trials {
             match self.of.get(&trial.hash) {
                 Some(shard) => dealt.put(trial, *shard),
@@ -211,7 +212,7 @@ impl Assignment {
     }
 
     /// Estimated core-seconds per shard.
-    pub fn costs(&self, trials: &[Trial]) -> Vec<f64> {
+    pub fn costs(&self, trials: &[PlannedTrial]) -> Vec<f64> {
         let (mut costs, mut trained) = (vec![0.0; self.shards as usize], HashSet::new());
         for trial in trials {
             let shard = self.shard(&trial.hash);
@@ -231,7 +232,7 @@ fn file_name(shards: u32) -> String {
 ///
 /// # Errors
 /// If the list cannot be read, or this program gives other hashes.
-pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, AssignmentError> {
+pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<PlannedTrial>>, AssignmentError> {
     let path = trials_file(folder, shard);
     let text = match std::fs::read_to_string(&path) {
         Ok(text) => text,
@@ -240,7 +241,7 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
     };
     let trial = |(line, text): (usize, &str)| {
         let wrong = |why| AssignmentError::Trial { path: path.clone(), line: line + 1, why };
-        let mut trial: Trial = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
+        let mut trial: PlannedTrial = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
         if trial.spec.hash() != trial.hash {
             return Err(wrong(format!("this program computes a different hash for trial {}", trial.hash)));
         }
@@ -248,7 +249,7 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
         trial.cost = cost::of(&trial.spec, trial.units).0;
         Ok(trial)
     };
-    let mut trials: Vec<Trial> = text.lines().enumerate().map(trial).collect::<Result<_, _>>()?;
+    let mut trials: Vec<PlannedTrial> = text.lines().enumerate().map(trial).collect::<Result<_, _>>()?;
     cost::first_trains(&mut trials);
     Ok(Some(trials))
 }

@@ -7,7 +7,7 @@ mod slurm;
 use std::fmt::Debug;
 
 use super::queue::{Job, Queue, QueueError};
-use super::submit::{Array, Submission};
+use super::submit::{JobArray, Submission};
 
 /// Names of schedulers on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -95,7 +95,7 @@ pub trait QueueCommands: Sync {
     }
 
     /// The command that submits shards under a name and prints the job id.
-    fn submit_shards(&self, submission: &Submission, array: &Array, name: &str) -> Vec<String>;
+    fn submit_shards(&self, submission: &Submission, array: &JobArray, name: &str) -> Vec<String>;
 
     /// The command that submits the merge after these jobs; `None` if the last shard merges.
     fn submit_merge(&self, submission: &Submission, jobs: &[String]) -> Option<Vec<String>>;

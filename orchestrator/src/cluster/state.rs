@@ -14,7 +14,7 @@ use crate::reader::ask_unchanging;
 
 /// State of a shard.
 #[derive(Debug, Clone, PartialEq)]
-pub struct State {
+pub struct ShardState {
     /// The shard.
     pub shard: Shard,
     /// State in the queue if it is queued and unfinished, else of its database: `complete`, `failed` (all trials ended, some
@@ -29,14 +29,14 @@ pub struct State {
     /// Failed trials.
     pub failures: Vec<String>,
     /// Its last run.
-    pub run: Option<Run>,
+    pub run: Option<ShardRun>,
     /// Age of the newest copy (s).
     pub age: Option<f64>,
 }
 
 /// A run of a shard.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Run {
+pub struct ShardRun {
     /// Start time.
     pub started_at: String,
     /// Estimated time (s).
@@ -49,7 +49,7 @@ pub struct Run {
     pub outcome: Option<String>,
 }
 
-impl State {
+impl ShardState {
     /// Whether all trials have ended.
     pub fn is_settled(&self) -> bool {
         ["complete", "failed"].contains(&self.state.as_str())
@@ -71,7 +71,11 @@ impl Stage {
 }
 
 /// The shards of a folder. `queued`: states in the queue, by shard.
-pub async fn states(folder: &Path, assignment: &Assignment, queued: &HashMap<u32, String>) -> Vec<State> {
+pub async fn states(
+    folder: &Path,
+    assignment: &Assignment,
+    queued: &HashMap<u32, String>,
+) -> Vec<ShardState> {
     let mut trials = vec![HashMap::new(); assignment.shards() as usize];
     for (hash, shard) in assignment.hashes() {
         trials[shard as usize - 1].insert(hash.to_owned(), Stage::NEVER);
@@ -90,7 +94,7 @@ pub async fn states(folder: &Path, assignment: &Assignment, queued: &HashMap<u32
     states
 }
 
-async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, Stage>) -> State {
+async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, Stage>) -> ShardState {
     let (mut run, mut age, mut unreadable, mut readable) = (None, None, None, false);
     for file in files {
         let written = file.metadata().and_then(|m| m.modified()).ok();
@@ -102,7 +106,7 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
                 for (hash, stage) in stages {
                     trials.entry(hash).and_modify(|known| *known = stage.max(*known));
                 }
-                let began = |run: &Option<Run>| run.as_ref().map(|run| run.started_at.clone());
+                let began = |run: &Option<ShardRun>| run.as_ref().map(|run| run.started_at.clone());
                 if began(&last) >= began(&run) {
                     run = last;
                 }
@@ -128,10 +132,19 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
         Some(error) => error,
         None => "nothing".into(),
     };
-    State { shard, state, trials: readable.then_some([all, done, failed]), never, open, failures, run, age }
+    ShardState {
+        shard,
+        state,
+        trials: readable.then_some([all, done, failed]),
+        never,
+        open,
+        failures,
+        run,
+        age,
+    }
 }
 
-async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> {
+async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<ShardRun>)> {
     let trials =
         "SELECT hash, state, coalesce(reason, ''), (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id)
         FROM trial t";
@@ -150,7 +163,7 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
             (hash, stage)
         };
         let run = |row: SqliteRow| {
-            Ok(Run {
+            Ok(ShardRun {
                 started_at: row.try_get(0)?,
                 estimated_seconds: row.try_get(1)?,
                 seconds: row.try_get(2)?,

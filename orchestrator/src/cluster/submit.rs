@@ -8,7 +8,7 @@ use super::Assignment;
 use super::home::SUBMITTED_SPEC;
 use super::scheduler::Scheduler;
 use crate::engine::GRACE;
-use crate::plan::Trial;
+use crate::plan::PlannedTrial;
 
 /// Time before its time limit at which a shard is stopped (s), or more if `run.grace` requires it.
 pub const NOTICE: u64 = 60;
@@ -80,7 +80,7 @@ pub struct Submission {
 
 /// Shards that are submitted as one job array.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Array {
+pub struct JobArray {
     /// Shard number = offset + index.
     pub offset: u32,
     /// Indices, from 1.
@@ -97,17 +97,17 @@ pub struct Script {
 }
 
 /// Number of shards for which each takes half of its time limit by estimate; estimates are accurate to a factor of two.
-pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
+pub fn planned(trials: &[PlannedTrial], cpus: u32, seconds: u64) -> u32 {
     let total = cost::total(trials);
     let shards = (2.0 * total / (f64::from(cpus) * seconds as f64)).ceil();
     (shards.max(1.0) as u32).min(MOST_PLANNED).min(trials.len().try_into().unwrap_or(u32::MAX))
 }
 
 /// Estimated seconds of the average and the longest shard on its cores.
-pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f64) {
+pub fn estimate(trials: &[PlannedTrial], assignment: &Assignment, cpus: u32) -> (f64, f64) {
     let costs = assignment.costs(trials);
     let cores = f64::from(cpus);
-    let longest_trial = trials.iter().map(Trial::seconds).fold(0.0, f64::max);
+    let longest_trial = trials.iter().map(PlannedTrial::seconds).fold(0.0, f64::max);
     let longest = costs.iter().fold(0.0_f64, |most, cost| most.max(cost / cores)).max(longest_trial);
     (costs.iter().sum::<f64>() / costs.len() as f64 / cores, longest)
 }
@@ -203,14 +203,14 @@ impl Submission {
     }
 
     /// The job arrays to submit; the scheduler limits their indices.
-    pub fn arrays(&self) -> Vec<Array> {
+    pub fn arrays(&self) -> Vec<JobArray> {
         let most = self.queue.most_index.max(1);
-        let mut arrays: Vec<Array> = Vec::new();
+        let mut arrays: Vec<JobArray> = Vec::new();
         for shard in &self.which {
             let offset = (shard - 1) / most * most;
             match arrays.last_mut().filter(|array| array.offset == offset) {
                 Some(array) => array.indices.push(shard - offset),
-                None => arrays.push(Array { offset, indices: vec![shard - offset] }),
+                None => arrays.push(JobArray { offset, indices: vec![shard - offset] }),
             }
         }
         arrays

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use metasense_schemas::spec::SweepSpec;
 
 use super::View;
-use crate::plan::Trial;
+use crate::plan::PlannedTrial;
 use crate::provenance;
 use crate::scheduler::Prior;
 use crate::signals::Signals;
@@ -25,10 +25,10 @@ pub struct RerunPolicy {
 pub async fn begin<'a>(
     store: &mut Store,
     (spec, text): (&SweepSpec, &str),
-    trials: &'a [Trial],
+    trials: &'a [PlannedTrial],
     again: RerunPolicy,
     signals: &mut Signals,
-) -> Result<Option<Vec<&'a Trial>>, StoreError> {
+) -> Result<Option<Vec<&'a PlannedTrial>>, StoreError> {
     let work = async {
         store.set_provenance(provenance::this_machine(1));
         store.begin_sweep(spec, text, trials).await?;
@@ -55,10 +55,13 @@ pub async fn reopen(store: &mut Store, hashes: &[&str], again: RerunPolicy) -> R
 }
 
 /// State of these trials from earlier runs.
-pub(super) async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<(Vec<Prior>, Bodies), StoreError> {
+pub(super) async fn priors(
+    store: &mut Store,
+    trials: &[&PlannedTrial],
+) -> Result<(Vec<Prior>, Bodies), StoreError> {
     let (known, trained) = (store.attempted().await?, store.bodies().await?);
     let mut bodies = Bodies::default();
-    let prior = |trial: &&Trial| {
+    let prior = |trial: &&PlannedTrial| {
         bodies.prior(trial, known.get(&trial.hash).copied().unwrap_or_default(), trained.get(&trial.training))
     };
     let priors = trials.iter().map(prior).collect();
@@ -66,7 +69,7 @@ pub(super) async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<(Vec<
 }
 
 /// Adds a trial to the progress of the run.
-pub(super) fn show(view: &mut View, trial: &Trial, prior: &Prior) {
+pub(super) fn show(view: &mut View, trial: &PlannedTrial, prior: &Prior) {
     view.add(trial, prior.body, prior.steps.unwrap_or(0), prior.trained);
 }
 
@@ -80,7 +83,7 @@ pub(super) struct Bodies {
 
 impl Bodies {
     /// State of a trial, given its attempts and the steps that any trial has trained its body.
-    pub fn prior(&mut self, trial: &Trial, known: PriorProgress, body_steps: Option<&u32>) -> Prior {
+    pub fn prior(&mut self, trial: &PlannedTrial, known: PriorProgress, body_steps: Option<&u32>) -> Prior {
         let (next, steps) = (self.numbers.len() as u32, trial.spec.optimise.steps());
         let body = *self.numbers.entry(trial.training.clone()).or_insert(next);
         if body_steps.is_some() {

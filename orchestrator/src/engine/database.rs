@@ -7,7 +7,7 @@ use tokio::sync::mpsc;
 
 use super::writer::Entry;
 use super::{Engine, Event, Events};
-use crate::store::{Level, Presence, StoreError};
+use crate::store::{LogLevel, Presence, StoreError};
 
 /// Time between two checks.
 const LOOK: Duration = Duration::from_secs(1);
@@ -19,7 +19,7 @@ const LOG_LARGE: u64 = 256 << 20;
 pub(super) struct WriterLink {
     pub queue: mpsc::Sender<Entry>,
     /// Log lines that the writer does not have yet.
-    pub pending_log: Vec<(Lease, Level, String)>,
+    pub pending_log: Vec<(Lease, LogLevel, String)>,
     pub files: Files,
     pub error: Option<StoreError>,
 }

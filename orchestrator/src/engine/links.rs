@@ -5,16 +5,16 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use metasense_schemas::reason::Reason;
-use metasense_schemas::wire::{Lease, LinkError, Start};
+use metasense_schemas::wire::{Lease, LinkError, WorkerStart};
 use metasense_worker::limits::{self, Needs};
 use metasense_worker::{process, simd};
 use tokio::sync::mpsc::Sender;
 
 use super::{Engine, Events};
 use crate::fleet::{Fleet, ProcessEvent};
-use crate::link::{Channel, LinkEvent, Runtime};
+use crate::link::{LinkEvent, Runtime, WorkerChannel};
 use crate::scheduler::{Event, WorkerId};
-use crate::store::Level;
+use crate::store::LogLevel;
 
 /// Longest wait for the link of an ended process; later messages are lost.
 const LINK_GRACE: Duration = Duration::from_millis(700);
@@ -22,7 +22,7 @@ const LINK_GRACE: Duration = Duration::from_millis(700);
 /// Process and link of a worker, from the creation of its domain until both have ended.
 #[derive(Debug)]
 pub(super) struct Link {
-    pub line: Channel,
+    pub line: WorkerChannel,
     pub started: bool,
     /// The process must not be started.
     pub cancelled: bool,
@@ -53,7 +53,7 @@ impl Engine<'_> {
     pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
         let needs = Needs { workers: 1, threads: self.options.threads, files: &[] };
         let line = limits::check(&needs).map_err(|short| short.to_string()).and_then(|()| {
-            Channel::open(self.workers.runtime.domain(worker), worker, self.workers.link_sender.clone())
+            WorkerChannel::open(self.workers.runtime.domain(worker), worker, self.workers.link_sender.clone())
                 .map_err(|error| error.to_string())
         });
         match line {
@@ -89,7 +89,7 @@ impl Engine<'_> {
             return;
         }
         let domain = self.workers.runtime.domain(worker);
-        let start = Start {
+        let start = WorkerStart {
             root: domain.root.to_string_lossy().into_owned(),
             prefix: domain.prefix,
             build: process::build(),
@@ -122,7 +122,7 @@ impl Engine<'_> {
                     if !line.is_empty() {
                         self.workers.details.entry(*lease).or_insert_with(|| line.clone());
                     }
-                    self.writer.pending_log.push((*lease, Level::Warn, line));
+                    self.writer.pending_log.push((*lease, LogLevel::Warn, line));
                 }
                 None => self.workers.last_words = line,
             },

@@ -41,15 +41,15 @@ use crate::exit::remedy;
 use crate::files::host;
 use crate::fleet::Fleet;
 use crate::link::{LinkEvent, Runtime, RuntimeError};
-use crate::plan::Trial;
+use crate::plan::PlannedTrial;
 use crate::provenance;
 use crate::scheduler::{
-    self, Action, Event, Outcome, Payload, Phase, Prior, RecordKind, Settings, State, WorkerId,
+    self, Action, Event, Payload, Phase, Prior, RecordKind, RunOutcome, SchedulerState, Settings, WorkerId,
 };
 use crate::signals::Signals;
 use crate::sql;
-use crate::store::{Level, Store, StoreError};
-use writer::{Arrays, Entry, QueuedRecord, WriterEvent};
+use crate::store::{LogLevel, Store, StoreError};
+use writer::{Entry, QueuedRecord, ResultArrays, WriterEvent};
 
 /// Time between two checks of deadlines and updates of the view.
 const TICK: Duration = Duration::from_millis(200);
@@ -80,7 +80,7 @@ pub struct Options {
 #[derive(Debug, Clone)]
 pub struct Summary {
     /// How it ended.
-    pub outcome: Outcome,
+    pub outcome: RunOutcome,
     /// Whether a stop was requested.
     pub stopping: bool,
     /// Messages of outdated attempts.
@@ -112,8 +112,8 @@ pub enum EngineError {
 /// the thread that started them.
 pub async fn run<'a>(
     store: &mut Store,
-    trials: &[&'a Trial],
-    work: &'a dyn Fn(&Trial) -> String,
+    trials: &[&'a PlannedTrial],
+    work: &'a dyn Fn(&PlannedTrial) -> String,
     options: &'a Options,
     signals: &mut Signals,
     control: &'a Control,
@@ -123,7 +123,7 @@ pub async fn run<'a>(
     let workers = settings.workers.min(trials.len() as u32);
     limits::check(&Needs { workers, threads: options.threads, files: &[store.path()] })?;
     let (priors, bodies) = begin::priors(store, trials).await?;
-    let state = State::new(settings.clone(), &priors);
+    let state = SchedulerState::new(settings.clone(), &priors);
     let mut view = View::new(settings.workers, settings.paused);
     trials.iter().zip(&priors).for_each(|(trial, prior)| begin::show(&mut view, trial, prior));
     store.set_provenance(provenance::this_machine(options.threads));
@@ -184,7 +184,7 @@ pub async fn run<'a>(
         watch.end(&view, outcome);
         match (outcome, writer.error) {
             (_, Some(error)) => Err(error.into()),
-            (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(workers.last_words)),
+            (RunOutcome::NoWorkers, None) => Err(EngineError::NoWorkers(workers.last_words)),
             _ => Ok(Summary { outcome, stopping: state.is_stopping(), stale, view }),
         }
     };
@@ -198,12 +198,12 @@ enum Records {}
 impl Payload for Records {
     type Step = (Box<StepRecord>, Arc<Checkpoint>);
     type Saved = Arc<Checkpoint>;
-    type Result = (Box<TrialResult>, Option<Arrays>);
+    type Result = (Box<TrialResult>, Option<ResultArrays>);
     type Asker = PendingRequest;
 }
 
 struct Engine<'a> {
-    state: State,
+    state: SchedulerState,
     agenda: Agenda<'a>,
     options: &'a Options,
     clock: Clock,
@@ -219,14 +219,14 @@ struct Engine<'a> {
 
 /// Trials of the run, what was done of them before, and how their jobs are written.
 struct Agenda<'a> {
-    trials: Vec<Cow<'a, Trial>>,
+    trials: Vec<Cow<'a, PlannedTrial>>,
     priors: Vec<Prior>,
     bodies: Bodies,
-    work: &'a dyn Fn(&Trial) -> String,
+    work: &'a dyn Fn(&PlannedTrial) -> String,
 }
 
 impl Agenda<'_> {
-    fn trial(&self, lease: Lease) -> &Trial {
+    fn trial(&self, lease: Lease) -> &PlannedTrial {
         &self.trials[lease.trial as usize]
     }
 }
@@ -240,7 +240,7 @@ impl Engine<'_> {
     }
 
     /// Passes the events to the scheduler and carries out its actions. Returns the outcome when the run is over.
-    async fn carry_out(&mut self, events: &mut Events) -> Option<Outcome> {
+    async fn carry_out(&mut self, events: &mut Events) -> Option<RunOutcome> {
         let now = self.clock.look();
         let mut actions: VecDeque<_> = scheduler::on_event(&mut self.state, Event::Clock(now)).into();
         loop {
@@ -255,7 +255,7 @@ impl Engine<'_> {
     }
 
     /// Carries out an action. Returns the outcome if the run ends.
-    async fn act(&mut self, action: Action<Records>, events: &mut Events) -> Option<Outcome> {
+    async fn act(&mut self, action: Action<Records>, events: &mut Events) -> Option<RunOutcome> {
         match action {
             Action::End(outcome) => return Some(outcome),
             Action::Spawn(worker) => self.open(worker, events),
@@ -317,7 +317,7 @@ impl Engine<'_> {
                     Some(detail) => format!("{reason}: {detail}"),
                     None => reason.to_string(),
                 };
-                let level = if reason == Reason::Cancelled { Level::Info } else { Level::Error };
+                let level = if reason == Reason::Cancelled { LogLevel::Info } else { LogLevel::Error };
                 if !in_order {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled, &text);
                     self.record(QueuedRecord::Log(lease, level, text)).await;
@@ -449,7 +449,7 @@ impl Engine<'_> {
             }
             ToOrchestrator::Saved(lease, checkpoint) => Event::Saved(worker, lease, Arc::from(checkpoint)),
             ToOrchestrator::Finished(lease, result, heads) => {
-                let mut arrays = sample.map(|sample| Arrays { heads, sample });
+                let mut arrays = sample.map(|sample| ResultArrays { heads, sample });
                 if !self.options.keep_arrays
                     && let Some(arrays) = arrays.take()
                 {
@@ -486,7 +486,7 @@ impl Engine<'_> {
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
                     let text = format!("restarted, because the checkpoint cannot be used: {why}");
-                    self.writer.pending_log.push((lease, Level::Warn, text));
+                    self.writer.pending_log.push((lease, LogLevel::Warn, text));
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {

@@ -8,7 +8,7 @@ use super::writer::{Entry, NewTrials};
 use super::{Engine, begin};
 use crate::control::{Command, Reply, Request, in_words};
 use crate::hashes::position_of;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, PlannedTrial};
 use crate::scheduler::{Event, Steer, SteerAnswer};
 
 /// A request that waits for the scheduler's answer, and text to append to the answer.
@@ -72,7 +72,7 @@ impl Engine<'_> {
         }
         let mut priors = Vec::new();
         for (place, known) in fresh.trials {
-            let trial: &Trial = &fresh.plan.trials[place];
+            let trial: &PlannedTrial = &fresh.plan.trials[place];
             let prior = self.agenda.bodies.prior(trial, known, fresh.bodies.get(&trial.training));
             priors.push(prior);
             begin::show(&mut self.view, trial, &prior);

@@ -7,19 +7,19 @@ use metasense_schemas::record::{StepRecord, TrialResult};
 
 pub use crate::analysis::view::View;
 use crate::control::Command;
-use crate::plan::Trial;
-use crate::scheduler::Outcome;
+use crate::plan::PlannedTrial;
+use crate::scheduler::RunOutcome;
 
 /// Observer of a run.
 pub trait Watch {
     /// A step has arrived.
-    fn step(&mut self, _trial: &Trial, _record: &StepRecord) {}
+    fn step(&mut self, _trial: &PlannedTrial, _record: &StepRecord) {}
     /// A result is on disk.
-    fn done(&mut self, _trial: &Trial, _result: &TrialResult) {}
+    fn done(&mut self, _trial: &PlannedTrial, _result: &TrialResult) {}
     /// An attempt has failed; `settled`: the trial, too. `_text`: the reason and its details.
     fn attempt_failed(
         &mut self,
-        _trial: &Trial,
+        _trial: &PlannedTrial,
         _attempt: u32,
         _reason: Reason,
         _settled: bool,
@@ -27,7 +27,7 @@ pub trait Watch {
     ) {
     }
     /// The trial restarts, as its checkpoint cannot be used.
-    fn begins_anew(&mut self, _trial: &Trial, _why: &str) {}
+    fn begins_anew(&mut self, _trial: &PlannedTrial, _why: &str) {}
     /// A warning for the user.
     fn warned(&mut self, _text: &str) {}
     /// A stop was requested; `_again`: not for the first time. Steps in progress may take up to `_grace`.
@@ -37,7 +37,7 @@ pub trait Watch {
     /// Called about five times per second.
     fn tick(&mut self, _view: &View) {}
     /// The run is over.
-    fn end(&mut self, _view: &View, _outcome: Outcome) {}
+    fn end(&mut self, _view: &View, _outcome: RunOutcome) {}
 }
 
 /// Observer that does nothing.

@@ -14,7 +14,7 @@ use tokio::sync::mpsc::{Receiver, UnboundedSender};
 use crate::control::Request;
 use crate::plan::Plan;
 use crate::scheduler::{RecordKind, WorkerId};
-use crate::store::{Array, Level, PriorProgress, Store, StoreError};
+use crate::store::{LogLevel, PriorProgress, Store, StoreError, StoredArray};
 
 /// Most entries per transaction.
 const BATCH: usize = 128;
@@ -27,12 +27,12 @@ pub enum QueuedRecord {
     /// A checkpoint of the final evaluation.
     Checkpoint(Lease, Arc<Checkpoint>),
     /// A result with its arrays, which stay in shared memory until they are recorded.
-    Result(Lease, Box<TrialResult>, Option<Arrays>),
+    Result(Lease, Box<TrialResult>, Option<ResultArrays>),
     /// The end of an attempt without a result; `true`: the trial has failed.
     Failure(Lease, Reason, bool),
     /// CPU seconds of an attempt so far.
     Spent(Lease, f64),
-    Log(Lease, Level, String),
+    Log(Lease, LogLevel, String),
     /// Request for a trial's checkpoint, of at most this many steps.
     Load(WorkerId, Lease, Option<u32>),
     /// Of a pending trial.
@@ -62,14 +62,14 @@ pub struct NewTrials {
 
 /// The arrays of a result, in shared memory.
 #[derive(Debug)]
-pub struct Arrays {
+pub struct ResultArrays {
     /// Name, shape and place of each array.
     pub heads: Vec<ArrayHead>,
     /// The shared memory that contains them.
     pub sample: Sample,
 }
 
-impl Arrays {
+impl ResultArrays {
     /// Reads every byte and discards it.
     pub fn read(&self) {
         let (mut sum, bytes) = (0u64, self.sample.payload());
@@ -80,11 +80,11 @@ impl Arrays {
         std::hint::black_box((sum, before, after));
     }
 
-    fn all(&self) -> Vec<Array<'_>> {
+    fn all(&self) -> Vec<StoredArray<'_>> {
         let bytes = self.sample.payload();
         let array = |head| {
             let ArrayHead { name, shape, start, end }: &ArrayHead = head;
-            Array { name, shape, npy: &bytes[*start..*end] }
+            StoredArray { name, shape, npy: &bytes[*start..*end] }
         };
         self.heads.iter().map(array).collect()
     }
@@ -186,7 +186,7 @@ async fn transact(
                 WriterEvent::Recorded(lease, RecordKind::Step)
             }
             QueuedRecord::Result(lease, result, arrays) => {
-                let all = arrays.as_ref().map(Arrays::all).unwrap_or_default();
+                let all = arrays.as_ref().map(ResultArrays::all).unwrap_or_default();
                 store.finish(hash(lease), lease.attempt, &result, &all).await?;
                 held.push(arrays);
                 WriterEvent::Done(lease, result)

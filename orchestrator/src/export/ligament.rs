@@ -3,17 +3,17 @@
 use metasense_lab::prepare::prepared;
 use metasense_lab::replay::{Drawing, drawing};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::problem::{Ligament, material, shore_a};
-use metasense_worker::run::Failure;
+use metasense_worker::problem::{LigamentMaterial, material, shore_a};
+use metasense_worker::run::NoResult;
 
-use super::outline::{Invalid, Mould, Outline};
+use super::outline::{Mould, NoOutline, Outline};
 use crate::look::{digits, number};
 
 /// Ligaments and material of a cast body. Lengths in mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cast {
+pub struct CastMaterial {
     /// The ligament of mean length that has the model's stiffnesses in stretch and bending.
-    pub ligament: Ligament,
+    pub ligament: LigamentMaterial,
     /// The model's stiffness in shear (N/mm).
     shear: f64,
     /// The model's mass per area (Mg/mm²).
@@ -38,17 +38,17 @@ fn bare(width: f64) -> Mould {
     Mould { width, height: 1.0, wall: 1.0, clearance: 0.0, pocket: None }
 }
 
-impl Cast {
+impl CastMaterial {
     /// For a body of this height.
     ///
     /// # Errors
     /// If the spec has no valid material.
-    pub fn new(spec: &TrialSpec, drawing: &Drawing, height: f64) -> Result<Self, Failure> {
-        let (density, stiffness) = material(&spec.body).map_err(|e| Failure::Rejected(e.to_string()))?;
+    pub fn new(spec: &TrialSpec, drawing: &Drawing, height: f64) -> Result<Self, NoResult> {
+        let (density, stiffness) = material(&spec.body).map_err(|e| NoResult::Rejected(e.to_string()))?;
         let distance = |[a, b]: [[f64; 2]; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
         let lengths = || drawing.ligaments.iter().copied().map(distance);
         let mean = lengths().sum::<f64>() / drawing.ligaments.len() as f64;
-        let ligament = Ligament::of(&stiffness, mean, height);
+        let ligament = LigamentMaterial::of(&stiffness, mean, height);
         let edges = drawing.joints.iter().flatten().flat_map(|&(unit, p)| {
             let corners = &drawing.units[unit];
             let n = corners.len();
@@ -60,13 +60,13 @@ impl Cast {
         Ok(Self { ligament, shear: stiffness.shear, density, lengths, edge, nominal })
     }
 
-    fn outline(&self, drawing: &Drawing) -> Result<Outline, Invalid> {
+    fn outline(&self, drawing: &Drawing) -> Result<Outline, NoOutline> {
         Outline::new(drawing, &bare(self.ligament.width))
     }
 
     /// Requirements for a cast to move as simulated, one sentence each.
     pub fn needs(&self, drawing: &Drawing) -> Vec<String> {
-        let Self { ligament: Ligament { modulus, thickness, width, length }, density, .. } = *self;
+        let Self { ligament: LigamentMaterial { modulus, thickness, width, length }, density, .. } = *self;
         let hardness = match shore_a(modulus) {
             s if s < 0.0 => "softer than Shore A 0".to_owned(),
             s => format!("about Shore A {s:.0}"),
@@ -110,7 +110,7 @@ impl Cast {
     /// Reasons why a cast cannot move as simulated, or is hard to cast.
     pub fn warnings(&self, drawing: &Drawing) -> Vec<String> {
         let Self { ligament, shear, lengths: [short, long], nominal, .. } = *self;
-        let Ligament { thickness, width, length, .. } = ligament;
+        let LigamentMaterial { thickness, width, length, .. } = ligament;
         let beam = ligament.stiffness().shear;
         let mut said = Vec::new();
         if (beam / shear - 1.0).abs() > TOLERANCE {
@@ -209,9 +209,9 @@ fn distance([x, y]: [f64; 2], [[ax, ay], [bx, by]]: [[f64; 2]; 2]) -> f64 {
 /// Why no cast body can have the stiffnesses of a trial's initial body.
 pub fn impossible(spec: &TrialSpec) -> Option<String> {
     let body = drawing(spec, &prepared(spec).ok()?.initial).ok()?;
-    let cast = Cast::new(spec, &body, 1.0).ok()?;
+    let cast = CastMaterial::new(spec, &body, 1.0).ok()?;
     let why = cast.too_wide().or_else(|| match cast.outline(&body) {
-        Err(Invalid::TooWide { left, voids, .. }) => Some(format!(
+        Err(NoOutline::TooWide { left, voids, .. }) => Some(format!(
             "ligaments {} mm wide leave {left} of the body's {voids} voids",
             number(cast.ligament.width)
         )),

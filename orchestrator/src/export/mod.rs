@@ -17,7 +17,7 @@ pub use outline::{Mould, Outline};
 
 use clap::ValueEnum;
 use metasense_lab::replay::{Replay, ReplayDecoder, fit_decoder, replay, replay_for_casts};
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 
 use crate::reader::StoredTrial;
 use crate::store::StoreError;
@@ -64,7 +64,7 @@ pub fn replay_of(stored: &StoredTrial, body: usize, threads: usize) -> Result<Re
 
 /// Data to which a decoder is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Fit {
+pub enum FitData {
     /// The body as designed: the decoder of the trial
     Design,
     /// Casts of the body: one decoder for all, fitted again as in the trial's comparison
@@ -78,25 +78,25 @@ pub enum Fit {
 pub fn brain_of(
     stored: &StoredTrial,
     body: usize,
-    fit: Fit,
+    fit: FitData,
     threads: usize,
 ) -> Result<(Replay, ReplayDecoder), StoreError> {
     match fit {
-        Fit::Design => {
+        FitData::Design => {
             let replay = replay_of(stored, body, threads)?;
             let own = fit_decoder(&stored.specs[body], &stored.weights[body], &replay)
                 .map_err(unreadable(stored))?;
             Ok((replay, own))
         }
         // with the trial's own integrator: bit-identical to the decoder of its casts
-        Fit::Casts => {
+        FitData::Casts => {
             replay_for_casts(&stored.specs[body], &stored.designs[body], threads).map_err(unreadable(stored))
         }
     }
 }
 
 /// The error for a stored trial that cannot be computed again.
-pub(crate) fn unreadable(stored: &StoredTrial) -> impl Fn(Failure) -> StoreError {
+pub(crate) fn unreadable(stored: &StoredTrial) -> impl Fn(NoResult) -> StoreError {
     let hash = stored.hash.clone();
     move |e| StoreError::unreadable(&hash, "trial", e)
 }

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use i_triangle::i_overlay::i_shape::int::shape::IntShape;
 use i_triangle::int::unchecked::IntUncheckedTriangulatable;
 
-use super::outline::{Mould, Outline, Point};
+use super::outline::{GridPoint, Mould, Outline};
 
 /// A triangle of corners (mm).
 type Triangle = [[f64; 3]; 3];
@@ -40,7 +40,7 @@ fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     let (floor, face) = (mould.wall, mould.wall + mould.height);
-    let at = |p: Point, z: f64| {
+    let at = |p: GridPoint, z: f64| {
         let [x, y] = cavity.mm(p);
         [x, y, z]
     };
@@ -50,14 +50,18 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     let (xs, ys) = (|| outer.iter().map(|p| p.x), || outer.iter().map(|p| p.y));
     let (left, right) = (xs().min().unwrap_or(0) - rim, xs().max().unwrap_or(0) + rim);
     let (low, high) = (ys().min().unwrap_or(0) - rim, ys().max().unwrap_or(0) + rim);
-    let rectangle =
-        vec![Point::new(left, low), Point::new(right, low), Point::new(right, high), Point::new(left, high)];
+    let rectangle = vec![
+        GridPoint::new(left, low),
+        GridPoint::new(right, low),
+        GridPoint::new(right, high),
+        GridPoint::new(left, high),
+    ];
     // Bottom and sides.
     for corners in [[0, 2, 1], [0, 3, 2]] {
         triangles.push(corners.map(|i: usize| at(rectangle[i], 0.0)));
     }
     // A vertical rectangle over the side from a to b, seen from its right.
-    let wall = |triangles: &mut Vec<Triangle>, a: Point, b: Point, [z, top]: [f64; 2]| {
+    let wall = |triangles: &mut Vec<Triangle>, a: GridPoint, b: GridPoint, [z, top]: [f64; 2]| {
         triangles.push([at(a, z), at(b, z), at(b, top)]);
         triangles.push([at(a, z), at(b, top), at(a, top)]);
     };
@@ -71,7 +75,7 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
         }
     }
     // The bottom with its inserts, and the face: islands of voids, and the rectangle around the outer loop.
-    let reversed = |corners: &[Point]| corners.iter().rev().copied().collect::<Vec<_>>();
+    let reversed = |corners: &[GridPoint]| corners.iter().rev().copied().collect::<Vec<_>>();
     let block = floor + mould.pocket.map_or(0.0, |pocket| pocket[2]);
     let pockets = cavity.pockets.iter().map(|corners| (corners, block));
     let inserts: Vec<_> = pockets.chain(cavity.holes.iter().map(|corners| (corners, face))).collect();
@@ -91,7 +95,7 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
 }
 
 /// Triangulates a polygon with holes over its own corners.
-fn filled(polygon: &IntShape<i32>) -> impl Iterator<Item = [Point; 3]> + use<> {
+fn filled(polygon: &IntShape<i32>) -> impl Iterator<Item = [GridPoint; 3]> + use<> {
     let mesh = polygon.uncheck_triangulate().into_delaunay().into_triangulation::<u32>();
     mesh.triangles().collect::<Vec<_>>().into_iter()
 }

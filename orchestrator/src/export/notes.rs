@@ -2,10 +2,10 @@
 
 use metasense_lab::replay::{Drawing, PrescribedMotion};
 
-use super::ligament::Cast;
+use super::ligament::CastMaterial;
 use super::outline::{HOLE, largest_pocket, screwed};
-use super::{Fit, Mould, Outline};
-use crate::analysis::Body;
+use super::{FitData, Mould, Outline};
+use crate::analysis::BodyState;
 use crate::look::number;
 use crate::reader::StoredTrial;
 
@@ -14,11 +14,11 @@ pub fn notes(
     stored: &StoredTrial,
     body: usize,
     drawing: &Drawing,
-    (cast, cavity, mould): (&Cast, &Outline, &Mould),
-    (brain, fit): (Option<&str>, Fit),
+    (cast, cavity, mould): (&CastMaterial, &Outline, &Mould),
+    (brain, fit): (Option<&str>, FitData),
 ) -> String {
-    let (spec, hash, name) = (&stored.specs[body], &stored.hash, Body::ALL[body].name());
-    let (word, version) = (Body::ALL[body].word(), env!("CARGO_PKG_VERSION"));
+    let (spec, hash, name) = (&stored.specs[body], &stored.hash, BodyState::ALL[body].name());
+    let (word, version) = (BodyState::ALL[body].word(), env!("CARGO_PKG_VERSION"));
     let mut lines = vec![
         format!("# The {word} body of trial {hash}\n"),
         format!("For a device, by metasense {version}. Lengths in mm, x to the right, y upwards.\n"),
@@ -107,11 +107,11 @@ pub fn notes(
     lines.push("\n## Decode\n".into());
     lines.push(match (brain, fit) {
         (None, _) => "The decoder of this trial cannot be exported for a device.".into(),
-        (Some(head), Fit::Design) => decoder_section(
+        (Some(head), FitData::Design) => decoder_section(
             "fitted to the body as designed; its error on casts that deviate from the design is higher",
             head,
         ),
-        (Some(head), Fit::Casts) => {
+        (Some(head), FitData::Casts) => {
             decoder_section("fitted to casts that vary according to `[variation]`", head)
         }
     });

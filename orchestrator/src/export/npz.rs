@@ -11,7 +11,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::{bands, replays, unreadable};
-use crate::analysis::Body;
+use crate::analysis::BodyState;
 use crate::reader::StoredTrial;
 use crate::store::{StoreError, npy_bytes};
 
@@ -48,7 +48,7 @@ pub fn archive(
     let inputs = stored.spec().signals();
     let samples = replays[0].forces.samples;
     let mut zip = Zip::default();
-    for body in Body::ALL {
+    for body in BodyState::ALL {
         let (b, name) = (body as usize, body.name());
         let (drawing, replay) = (&drawings[b], &replays[b]);
         zip.array(&format!("alpha_{name}"), &[stored.designs[b].len()], &stored.designs[b]);

@@ -13,7 +13,7 @@ use onnx_rs::ast::{
 };
 
 use super::unreadable;
-use crate::analysis::Body;
+use crate::analysis::BodyState;
 use crate::reader::StoredTrial;
 use crate::store::StoreError;
 
@@ -33,7 +33,7 @@ pub fn onnx(
     let layers = layers(spec, own, replay).map_err(unreadable(stored))?;
     let channels = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
     let interval = (spec.time.duration / spec.time.samples as f64).to_string();
-    let name = Body::ALL[body].name();
+    let name = BodyState::ALL[body].name();
     let said = format!(
         "signals: of each sensor {channels}, one sensor after the other (mm/s^2, rad/s), every {interval} s; forces: N, at the same instants"
     );

@@ -14,7 +14,7 @@ use i_triangle::i_overlay::i_shape::int::shape::{IntContour, IntShape};
 use metasense_lab::replay::Drawing;
 
 /// A point of the grid.
-pub type Point = IntPoint<i32>;
+pub type GridPoint = IntPoint<i32>;
 
 /// Lengths of a mould (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,7 +48,7 @@ pub struct Outline {
 
 /// Why there is no outline.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Invalid {
+pub enum NoOutline {
     /// The body is not one piece.
     #[error(
         "the body consists of {0} separate pieces and cannot be cast in one mould; --format svg shows them"
@@ -140,7 +140,7 @@ impl Outline {
     ///
     /// # Errors
     /// If the body is not connected, or if ligaments or clearance close a void.
-    pub fn new(drawing: &Drawing, mould: &Mould) -> Result<Self, Invalid> {
+    pub fn new(drawing: &Drawing, mould: &Mould) -> Result<Self, NoOutline> {
         let all = drawing.units.iter().flatten().flatten();
         let reach = all.fold(0.0f64, |r, x| r.max(x.abs())) + mould.wall + mould.width + mould.clearance;
         // Coordinates have 24 bits, so that single precision (STL) represents them exactly.
@@ -150,7 +150,7 @@ impl Outline {
         let voids = (drawing.ligaments.len() + 1).saturating_sub(drawing.units.len());
         let left = body.len() - 1;
         let Some(parted) = left.checked_sub(voids) else {
-            return Err(Invalid::TooWide { width: mould.width, left, voids });
+            return Err(NoOutline::TooWide { width: mould.width, left, voids });
         };
         if mould.clearance == 0.0 {
             return Ok(Self { loops: body, pitch, parted, pockets: Vec::new(), holes: Vec::new() });
@@ -159,7 +159,7 @@ impl Outline {
         let within = |void: &IntContour<i32>| loops[1..].iter().filter(|l| void.contains_point(l[0])).count();
         match body[1..].iter().all(|void| within(void) == 1) {
             true => Ok(Self { loops, pitch, parted, pockets: Vec::new(), holes: Vec::new() }),
-            false => Err(Invalid::Closed(mould.clearance)),
+            false => Err(NoOutline::Closed(mould.clearance)),
         }
     }
 
@@ -174,7 +174,7 @@ impl Outline {
         mould: &Mould,
         offset: [f64; 2],
         tilt: f64,
-    ) -> Result<Self, Invalid> {
+    ) -> Result<Self, NoOutline> {
         let circle = |[x, y]: [f64; 2]| {
             let turns = (0..24).map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos());
             turns.map(|(sin, cos)| onto([x + 0.5 * HOLE * cos, y + 0.5 * HOLE * sin], self.pitch)).collect()
@@ -184,7 +184,7 @@ impl Outline {
         for &unit in &drawing.sensors {
             let (corners, left) = pocket(drawing, unit, [along, across], offset, tilt);
             if left < POCKET_WALL {
-                return Err(Invalid::Pocket { size: format!("{along}x{across}"), left, unit });
+                return Err(NoOutline::Pocket { size: format!("{along}x{across}"), left, unit });
             }
             self.pockets.push(corners.iter().map(|q| onto(*q, self.pitch)).collect());
         }
@@ -192,7 +192,7 @@ impl Outline {
     }
 
     /// A point of the grid in mm.
-    pub fn mm(&self, point: Point) -> [f64; 2] {
+    pub fn mm(&self, point: GridPoint) -> [f64; 2] {
         [point.x, point.y].map(|x| f64::from(x) * self.pitch)
     }
 
@@ -213,7 +213,7 @@ impl Outline {
 }
 
 /// The union of all units, enlarged by `around`, and of strips of half width `half` along the ligaments.
-fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntShape<i32>, Invalid> {
+fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntShape<i32>, NoOutline> {
     let onto = |point| onto(point, pitch);
     let mut pieces: Vec<IntContour<i32>> =
         drawing.units.iter().map(|unit| unit.iter().map(|p| onto(*p)).collect()).collect();
@@ -233,13 +233,13 @@ fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntSh
     let mut shapes = pieces.simplify(FillRule::NonZero, options);
     match shapes.len() {
         1 => Ok(shapes.remove(0)),
-        n => Err(Invalid::Apart(n)),
+        n => Err(NoOutline::Apart(n)),
     }
 }
 
 /// The grid point nearest to a point (mm).
-fn onto([x, y]: [f64; 2], pitch: f64) -> Point {
-    Point::new((x / pitch).round() as i32, (y / pitch).round() as i32)
+fn onto([x, y]: [f64; 2], pitch: f64) -> GridPoint {
+    GridPoint::new((x / pitch).round() as i32, (y / pitch).round() as i32)
 }
 
 /// Smallest distance of a point to the edges of a convex unit, counter-clockwise; below 0 outside.

@@ -4,7 +4,7 @@ use metasense_lab::replay::Replay;
 use serde_json::{Value, json};
 
 use super::bands;
-use crate::analysis::Body;
+use crate::analysis::BodyState;
 use crate::look::{Table, row};
 use crate::reader::StoredTrial;
 
@@ -17,7 +17,7 @@ pub fn table(stored: &StoredTrial, replays: &[Replay; 2]) -> Table {
     columns.extend((0..panels).map(|k| format!("force_{k}")));
     // per body, the values after its signals: predictions and limits of bands (N, T, K)
     let mut prediction_columns: [Vec<Vec<f64>>; 2] = Default::default();
-    for body in Body::ALL {
+    for body in BodyState::ALL {
         let (name, replay) = (body.name(), &replays[body as usize]);
         for m in 0..sensors {
             columns.extend(read.iter().map(|c| format!("{}_{m}_{name}", c.name())));

@@ -11,7 +11,7 @@ use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
-use metasense_schemas::wire::Start;
+use metasense_schemas::wire::WorkerStart;
 use metasense_worker::{limits, process};
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
@@ -61,7 +61,7 @@ impl Fleet {
     }
 
     /// Starts a worker process.
-    pub fn spawn(&mut self, worker: WorkerId, start: &Start) -> std::io::Result<()> {
+    pub fn spawn(&mut self, worker: WorkerId, start: &WorkerStart) -> std::io::Result<()> {
         let argument = serde_json::to_string(start).expect("strings and numbers are JSON");
         let mut command = Command::new(&self.program);
         command.arg("worker").arg(argument).kill_on_drop(true);

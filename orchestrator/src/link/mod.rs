@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use metasense_schemas::wire::{
-    self, BackpressureStrategy, BeatReceiver, End, Lease, LinkError, MessageReceiver, MessageSender, Sample,
-    Services, Sleeper, ToOrchestrator, ToWorker, Waker,
+    self, BackpressureStrategy, BeatReceiver, DomainEnd, Lease, LinkError, MessageReceiver, MessageSender,
+    Sample, Services, Sleeper, ToOrchestrator, ToWorker, Waker,
 };
 use metasense_worker::process::check_shared_memory;
 use tokio::sync::mpsc::Sender;
@@ -40,7 +40,7 @@ pub enum LinkEvent {
 
 /// The link to a worker.
 #[derive(Debug)]
-pub struct Channel {
+pub struct WorkerChannel {
     shared: Arc<Shared>,
 }
 
@@ -57,7 +57,7 @@ struct Ports {
     wake_self: Waker,
 }
 
-impl Channel {
+impl WorkerChannel {
     /// Creates the domain on a new thread, which sends the link's events to `words`.
     pub fn open(
         domain: Domain,
@@ -112,7 +112,7 @@ struct Receivers {
 /// Creates the domain, and reads from it until told to end.
 fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(LinkEvent) -> bool) -> Result<(), LinkError> {
     std::fs::create_dir(&domain.root).map_err(LinkError::of("making the domain's directory"))?;
-    let services = Services::new(&domain.root.to_string_lossy(), &domain.prefix, End::Orchestrator)?;
+    let services = Services::new(&domain.root.to_string_lossy(), &domain.prefix, DomainEnd::Orchestrator)?;
     let receivers = Receivers {
         up: Services::receiver(&services.up)?,
         arrays: Services::receiver(&services.arrays)?,

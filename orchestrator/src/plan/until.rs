@@ -3,7 +3,7 @@
 use metasense_schemas::spec::{SweepSpec, Until};
 use metasense_source::{Source, SpecError};
 
-use super::Trial;
+use super::PlannedTrial;
 use crate::analysis::until::unanswerable;
 
 /// The spec with the placements and seeds of `until.at_most`; checks the values of `[until]`.
@@ -31,7 +31,11 @@ pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, Sp
 }
 
 /// Rejects questions that no setting of the plan can answer.
-pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) -> Result<(), SpecError> {
+pub(super) fn check(
+    until: Option<&Until>,
+    trials: &[PlannedTrial],
+    source: &Source,
+) -> Result<(), SpecError> {
     let Some(until) = until else { return Ok(()) };
     if *until == (Until { confidence: until.confidence, at_most: until.at_most.clone(), ..Until::default() })
     {

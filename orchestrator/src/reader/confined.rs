@@ -14,7 +14,7 @@ use crate::store::{OPENING, StoreError};
 
 /// Limits of an answer.
 #[derive(Debug, Clone, Copy)]
-pub struct Limits {
+pub struct AnswerLimits {
     /// Rows.
     pub rows: usize,
     /// Bytes of its values as JSON.
@@ -72,7 +72,7 @@ impl Reader {
     pub async fn limited<T: From<QueryResult>>(
         &mut self,
         sql: &str,
-        limits: Limits,
+        limits: AnswerLimits,
     ) -> Result<(T, Option<String>), StoreError> {
         let begun = Instant::now();
         let handle = self.connected.connection.lock_handle().await;

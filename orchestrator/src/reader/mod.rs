@@ -25,7 +25,7 @@ use crate::files::{has_journal, resolve_links, sidecar};
 use crate::hashes::position_of;
 use crate::store::{StoreError, check, is_no_json, is_trouble, lock, npy_values, options, read_checkpoint};
 use allow::{AccessLevel, NOT_READING, TYPES_VIEW, allow};
-pub use confined::Limits;
+pub use confined::AnswerLimits;
 pub use connect::ask_unchanging;
 use connect::{Connected, connect, state};
 pub(crate) use connect::{copy_with_journal, state_of};

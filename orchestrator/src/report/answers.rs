@@ -10,7 +10,7 @@ use crate::analysis::placed::{PlacementComparison, placed};
 use crate::analysis::random::{random, random_groups};
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
-use crate::analysis::{Body, ErrorScale, Interval, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{BodyState, DecisionTerms, ErrorScale, Interval, Set, Trial, Verdict, elbow, paired};
 use crate::look::{Answer, number};
 use crate::plan::counted;
 
@@ -18,7 +18,7 @@ use crate::plan::counted;
 const SURE: f64 = 0.95;
 
 /// Answers of the trials to the questions of a report.
-pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
+pub fn answers(trials: &[Trial], terms: DecisionTerms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
     let of_trials = brains_by_trial(&refs);
@@ -79,7 +79,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
 /// The part of the signals that a linear model of the bodies does not explain.
 fn linear_model(trials: &[&Trial]) -> Option<Answer> {
     let mean = |body, kind| mean_of(&nonlinear(trials, body, kind)).map(number);
-    let [initial, optimised] = Body::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
+    let [initial, optimised] = BodyState::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
     let ([a, w], [b, v]) = (initial?, optimised?);
     Some(Answer::new(
         "modes",
@@ -108,8 +108,8 @@ fn by_medians(ratio: impl Fn(Set) -> Option<Ratio>) -> String {
 }
 
 /// Geometric mean errors of both bodies over the trials that have both.
-fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [String; 2] {
-    let both = |t: &Trial| Some([error(t, Body::Initial)?, error(t, Body::Optimised)?]);
+fn means(trials: &[&Trial], error: impl Fn(&Trial, BodyState) -> Option<f64>) -> [String; 2] {
+    let both = |t: &Trial| Some([error(t, BodyState::Initial)?, error(t, BodyState::Optimised)?]);
     let errors: Vec<[f64; 2]> = without_repeats(trials, both).map(|(_, errors)| errors).collect();
     [0, 1].map(|b| number(geometric_mean(&errors.iter().map(|of| of[b]).collect::<Vec<_>>())))
 }
@@ -152,24 +152,24 @@ fn placing(found: &PlacementComparison) -> Option<Answer> {
              of 20, 10 and 5 % (95 % interval): initial body {} at random, {} placed; trained body {} at random, {} placed.",
             found.label,
             level.sensors,
-            error(false, Body::Initial)?,
-            error(true, Body::Initial)?,
+            error(false, BodyState::Initial)?,
+            error(true, BodyState::Initial)?,
             number(by_placing.ratio),
             interval(&by_placing),
-            error(true, Body::Optimised)?,
+            error(true, BodyState::Optimised)?,
             number(by_training.ratio),
             interval(&by_training),
             by_medians(|set| level.gain_from_training(set)),
-            needed(false, Body::Initial),
-            needed(true, Body::Initial),
-            needed(false, Body::Optimised),
-            needed(true, Body::Optimised),
+            needed(false, BodyState::Initial),
+            needed(true, BodyState::Initial),
+            needed(false, BodyState::Optimised),
+            needed(true, BodyState::Optimised),
         ),
     ))
 }
 
 /// The elbow of error against M, and the smallest sufficient M on the trained body.
-fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
+fn sensors(group: &Group, terms: DecisionTerms) -> Vec<Answer> {
     let by = |body, set| observations(&group.trials, body, set, |t| t.sensors);
     let curve = |body| by(body, Set::Holdout);
     let told = |body, height| match elbow(&curve(body), height) {
@@ -191,7 +191,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             if told.is_empty() { verdict } else { format!("{verdict} ({})", told.join("; ")) }
         }
     };
-    let [initial, optimised] = Body::ALL.map(|body| {
+    let [initial, optimised] = BodyState::ALL.map(|body| {
         let [percent, logarithm] = ErrorScale::ALL.map(|height| told(body, height));
         match percent == logarithm {
             true => percent,
@@ -203,7 +203,8 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         false => format!("{}: trained body: {optimised}. Initial body: {initial}.", group.label),
     };
     let mut said = vec![Answer::new("sensors", None, text)];
-    for (body, height) in Body::ALL.into_iter().flat_map(|body| ErrorScale::ALL.map(|height| (body, height)))
+    for (body, height) in
+        BodyState::ALL.into_iter().flat_map(|body| ErrorScale::ALL.map(|height| (body, height)))
     {
         let [mean, median] = [Set::Holdout, Set::Median].map(|set| by(body, set));
         let same = mean.len() == median.len();
@@ -217,7 +218,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             said.push(Answer::new("sensors", Some(false), text));
         }
     }
-    let [initial, optimised] = Body::ALL.map(|body| decisions(&curve(body), terms));
+    let [initial, optimised] = BodyState::ALL.map(|body| decisions(&curve(body), terms));
     let price = terms.price.map_or(String::new(), |p| format!("smallest error + {} % × M", number(p)));
     let within = format!("smallest M within {} % of the best", number(100.0 * terms.within));
     for (what, of) in [
@@ -233,7 +234,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             ));
         }
     }
-    if let Some(f) = fewer(&curve(Body::Initial), &curve(Body::Optimised)) {
+    if let Some(f) = fewer(&curve(BodyState::Initial), &curve(BodyState::Optimised)) {
         let initial = format!("the initial body with M = {} ({} %)", f.most, number(f.initial_error));
         let text = match (f.fewest, f.optimised_error) {
             (Some(m), Some(error)) => {
@@ -288,7 +289,7 @@ fn random_bodies(group: &Group) -> Option<Answer> {
             initial.trials,
             number(optimised.ratio),
             interval(&optimised),
-            by_medians(|set| random(&group.trials, set)?.ratios[Body::Optimised as usize].take())
+            by_medians(|set| random(&group.trials, set)?.ratios[BodyState::Optimised as usize].take())
         ),
     ))
 }

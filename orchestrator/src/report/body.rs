@@ -2,10 +2,10 @@
 
 use maud::html;
 use metasense_lab::replay::{Drawing, Panel};
-use metasense_worker::design::{Active, Kind, Violation};
+use metasense_worker::design::{Active, Violation, ViolationKind};
 
-use crate::analysis::Body;
-use crate::look::body::{Arrow, Mark, Numbers, Point, Sketch, frame, middle};
+use crate::analysis::BodyState;
+use crate::look::body::{Arrow, Mark, Numbering, Position, Sketch, frame, middle};
 use crate::look::{Figure, Picture, Table, legend, row};
 use crate::reader::StoredTrial;
 
@@ -14,7 +14,7 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
     let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, guided, spacing, .. } =
         drawing;
     let held = |a: &Active| mark(a.kind, a.units, Some(a.node), units);
-    let arrow = |&(panel, foot): &(Panel, Point)| {
+    let arrow = |&(panel, foot): &(Panel, Position)| {
         let direction = (!panel.is_couple()).then_some(panel.direction);
         Arrow { unit: panel.unit, foot, direction, sense: panel.moment.signum() }
     };
@@ -48,20 +48,20 @@ pub fn figure(
         entries.push(("active", "constraint at its limit"));
     }
     let rows = bodies.iter().flat_map(|(_, name, sketch)| {
-        let corners = |(unit, corners): (usize, &Vec<Point>)| {
+        let corners = |(unit, corners): (usize, &Vec<Position>)| {
             corners.iter().enumerate().map(|(node, [x, y])| row![name, unit, node, x, y]).collect::<Vec<_>>()
         };
         sketch.units.iter().enumerate().flat_map(corners).collect::<Vec<_>>()
     });
     let pictures =
-        bodies.iter().map(|(title, _, sketch)| sketch.picture(view, title, Numbers::Units)).collect();
+        bodies.iter().map(|(title, _, sketch)| sketch.picture(view, title, Numbering::Units)).collect();
     Figure::new(name, title, caption, legend(&entries), pictures, Table::new("body unit node x y", rows))
 }
 
 /// The drawings that an external body's program made of both bodies; `None` without drawings. As images they run no scripts.
 pub fn drawn(stored: &StoredTrial) -> Option<Figure> {
     let name = stored.spec().body.description.as_ref().map_or("", |description| &description.name);
-    let picture = |(body, svg): (Body, &String)| {
+    let picture = |(body, svg): (BodyState, &String)| {
         let sides = svg.split_once("viewBox=\"").map_or("", |(_, rest)| rest.split('"').next().unwrap_or(""));
         let view: Vec<f64> = sides.split([' ', ',']).filter_map(|side| side.parse().ok()).collect();
         let ratio = if view.len() == 4 { view[3] / view[2] } else { 1.0 };
@@ -72,7 +72,7 @@ pub fn drawn(stored: &StoredTrial) -> Option<Figure> {
             html! { image width="100" height=(height) href=(format!("data:image/svg+xml,{encoded}")) {} };
         Picture { title, class: "body", view: [0.0, 0.0, 100.0, height], marks }
     };
-    let pictures: Vec<_> = Body::ALL.into_iter().zip(&stored.drawings).map(picture).collect();
+    let pictures: Vec<_> = BodyState::ALL.into_iter().zip(&stored.drawings).map(picture).collect();
     let numbers = (0..).zip(stored.designs[0].iter().zip(&stored.designs[1]));
     let data =
         || Table::new("number initial optimised", numbers.map(|(i, (a, b)): (usize, _)| row![i, a, b]));
@@ -81,16 +81,18 @@ pub fn drawn(stored: &StoredTrial) -> Option<Figure> {
 }
 
 /// The mark of a constraint: a line or a dot.
-fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[Vec<Point>]) -> Mark {
+fn mark(kind: ViolationKind, of: [usize; 2], node: Option<usize>, units: &[Vec<Position>]) -> Mark {
     let (corners, other) = (&units[of[0]], &units[of[1]]);
     match (kind, node) {
-        (Kind::Edge, Some(p)) => Mark::Line(corners[p], corners[(p + 1) % corners.len()]),
-        (Kind::Clearance | Kind::Overlap, _) => {
+        (ViolationKind::Edge, Some(p)) => Mark::Line(corners[p], corners[(p + 1) % corners.len()]),
+        (ViolationKind::Clearance | ViolationKind::Overlap, _) => {
             let (a, b) = closest(corners, other);
             Mark::Line(a, b)
         }
-        (Kind::LigamentClearance, Some(p)) => Mark::Line(corners[p], closest(&[corners[p]], other).1),
-        (Kind::VoidAngle, Some(p)) => {
+        (ViolationKind::LigamentClearance, Some(p)) => {
+            Mark::Line(corners[p], closest(&[corners[p]], other).1)
+        }
+        (ViolationKind::VoidAngle, Some(p)) => {
             // chord of the angle, in the void beside the node
             let (here, next) = (corners[p], corners[(p + 1) % corners.len()]);
             let along = [0, 1].map(|i| here[i] + 0.35 * (next[i] - here[i]));
@@ -103,7 +105,7 @@ fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[Vec<Point>]) -
 }
 
 /// The closest points of two polygons.
-fn closest(a: &[Point], b: &[Point]) -> (Point, Point) {
+fn closest(a: &[Position], b: &[Position]) -> (Position, Position) {
     let mut best = (f64::INFINITY, a[0], b[0]);
     for (corners, ring, swap) in [(a, b, false), (b, a, true)] {
         for &p in corners {

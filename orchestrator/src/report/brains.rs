@@ -5,7 +5,7 @@ use super::words::left_out;
 use crate::analysis::brains::{DecoderErrors, errors_by_decoder};
 use crate::analysis::data::{BRAINS, Group, groups};
 use crate::analysis::numbers::distinct;
-use crate::analysis::{Body, Question, Terms, Trial};
+use crate::analysis::{BodyState, DecisionTerms, Question, Trial};
 use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
 
 /// Classes of the trained bodies' lines, by the decoder in training.
@@ -37,13 +37,13 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         curves(&mut memory, &even, &trained_names, reach);
         for read in &networks {
             let class = class(&trained_names, &read.trained_with);
-            let text = |body: Body| {
+            let text = |body: BodyState| {
                 let error = number(read.errors[body as usize]);
                 format!("{}, error of {}: {error} %", whose(body, &read.trained_with), read.decoder)
             };
-            let at = |body: Body| ((reach(read), read.errors[body as usize]), text(body));
-            memory.dots("initial", [at(Body::Initial)]);
-            memory.dots(class, [at(Body::Optimised)]);
+            let at = |body: BodyState| ((reach(read), read.errors[body as usize]), text(body));
+            memory.dots("initial", [at(BodyState::Initial)]);
+            memory.dots(class, [at(BodyState::Optimised)]);
         }
         pictures.push(memory.picture());
         // the whole past, with increasing delay
@@ -67,7 +67,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         ),
         entries,
         pictures,
-        || Question::Brains.answer(trials, Terms::default()),
+        || Question::Brains.answer(trials, DecisionTerms::default()),
     )
 }
 
@@ -76,12 +76,12 @@ fn curves(plot: &mut Plot, reads: &[&DecoderErrors], with: &[&str], x: impl Fn(&
         let mut own: Vec<&&DecoderErrors> =
             reads.iter().filter(|r| r.trained_with == *trained_with).collect();
         own.sort_by(|a, b| x(a).total_cmp(&x(b)));
-        for body in Body::ALL {
+        for body in BodyState::ALL {
             // the initial body does not depend on the decoder in training
-            if body == Body::Initial && n > 0 {
+            if body == BodyState::Initial && n > 0 {
                 continue;
             }
-            let class = if body == Body::Initial { "initial" } else { class(with, trained_with) };
+            let class = if body == BodyState::Initial { "initial" } else { class(with, trained_with) };
             plot.line(class, own.iter().map(|r| (x(r), r.errors[body as usize])));
             let dot = |r: &&&DecoderErrors| {
                 let (error, [before, after]) = (r.errors[body as usize], r.memory.map(number));
@@ -93,10 +93,10 @@ fn curves(plot: &mut Plot, reads: &[&DecoderErrors], with: &[&str], x: impl Fn(&
     }
 }
 
-fn whose(body: Body, trained_with: &str) -> String {
+fn whose(body: BodyState, trained_with: &str) -> String {
     match body {
-        Body::Initial => "initial body".into(),
-        Body::Optimised => format!("body trained with {trained_with}"),
+        BodyState::Initial => "initial body".into(),
+        BodyState::Optimised => format!("body trained with {trained_with}"),
     }
 }
 

@@ -7,7 +7,7 @@ use crate::analysis::bodies::BodyTrials;
 use crate::analysis::casts::{CastErrors, Setting, settings};
 use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::trial::CastDecoder;
-use crate::analysis::{Question, Terms, Trial};
+use crate::analysis::{DecisionTerms, Question, Trial};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
 
 /// Maximum number of settings in the figure; the data contain all.
@@ -36,7 +36,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         ),
         legend(&names),
         found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
-        || Question::Casts.answer(trials, Terms::default()),
+        || Question::Casts.answer(trials, DecisionTerms::default()),
     )
 }
 

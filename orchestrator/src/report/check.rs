@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use maud::html;
-use metasense_lab::check::{Checked, Level, Looked};
+use metasense_lab::check::{Checked, Looked, Severity};
 use metasense_lab::modes::responses;
 use metasense_schemas::spec::TrialSpec;
 use serde_json::Value;
@@ -88,10 +88,10 @@ const COHERENCE: [&str; 2] = ["truth", "front"];
 pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
     let answer = |f: &metasense_lab::check::Finding| {
         let place = if f.place.is_empty() { String::new() } else { format!("{}: ", f.place) };
-        let verdict = (f.level == Level::Fault).then_some(false);
+        let verdict = (f.level == Severity::Fault).then_some(false);
         Answer::new("", verdict, format!("{place}{}. Remedy: {}.", f.found, f.remedy))
     };
-    let said: Vec<Answer> = checked.findings.iter().filter(|f| f.level != Level::Ok).map(answer).collect();
+    let said: Vec<Answer> = checked.findings.iter().filter(|f| f.level != Severity::Ok).map(answer).collect();
     let good = [Answer::new("", Some(true), "No fault found.".into())];
     let content = html! {
         (answers(if said.is_empty() { &good[..] } else { &said }))

@@ -4,16 +4,16 @@ use serde_json::Value;
 
 use crate::analysis::claims::{CLAIMS, Evidence, Rating, evidence_table};
 use crate::analysis::numbers::geometric_mean;
-use crate::analysis::paired::Progress;
+use crate::analysis::paired::TrainingMeasure;
 use crate::analysis::setting::differing_paths;
-use crate::analysis::{Body, Cluster, Set, Trial};
+use crate::analysis::{BodyState, Cluster, Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// One row per trial: the settings in which trials differ, and all numbers that the claims use.
 pub fn trials_table(trials: &[Trial]) -> Table {
     let paths: Vec<&str> = differing_paths(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
     let sets: Vec<Set> = Set::with_errors(&trials.iter().collect::<Vec<_>>()).collect();
-    let each = || Body::ALL.into_iter().flat_map(|body| sets.iter().map(move |set| (body, *set)));
+    let each = || BodyState::ALL.into_iter().flat_map(|body| sets.iter().map(move |set| (body, *set)));
     let rows = trials.iter().map(|t| {
         let Cluster { placement, seed } = t.cluster;
         let mut cells = row![t.hash, t.panels, t.sensors, placement, seed, t.units, t.design_parameters];
@@ -49,7 +49,7 @@ const ROW: f64 = 16.0;
 
 /// Held-out ratios with intervals, one row each, beside the paper's numbers; `None` without ratios.
 pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
-    let others = [Set::Test.name(), Set::Median.name(), Progress::Loss.name()];
+    let others = [Set::Test.name(), Set::Median.name(), TrainingMeasure::Loss.name()];
     let of_holdout = |e: &&Evidence| e.found.is_some() && !others.contains(&e.set);
     let each = found.iter().enumerate().flat_map(|(i, of)| of.iter().map(move |e| (i, e)));
     let rows: Vec<(usize, &Evidence)> = each.filter(|(_, e)| of_holdout(e)).collect();

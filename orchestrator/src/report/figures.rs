@@ -12,7 +12,7 @@ use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::trial::CurvePoint;
 use crate::analysis::{
-    Body, Cluster, ErrorScale, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired,
+    BodyState, Cluster, DecisionTerms, ErrorScale, Interval, Question, Set, Trial, Verdict, elbow, paired,
 };
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
@@ -43,8 +43,13 @@ fn sensors_axis(trials: &[&Trial]) -> Axis {
 
 /// Error of the trained body against that of the initial body, one dot per trial.
 pub fn pairs(trials: &[Trial]) -> Option<Figure> {
-    let pair =
-        |t| Some((t, Trial::error(t, Body::Initial, Set::Holdout)?, t.error(Body::Optimised, Set::Holdout)?));
+    let pair = |t| {
+        Some((
+            t,
+            Trial::error(t, BodyState::Initial, Set::Holdout)?,
+            t.error(BodyState::Optimised, Set::Holdout)?,
+        ))
+    };
     let points: Vec<(&Trial, f64, f64)> = trials.iter().filter_map(pair).collect();
     if points.is_empty() {
         return None;
@@ -92,11 +97,11 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
 }
 
 /// Error against M; the range over placements is shaded, the elbow marked.
-pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
+pub fn sensors(trials: &[Trial], terms: DecisionTerms) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let drawn: Vec<Group> = groups(&refs, SENSORS).into_iter().filter(|g| g.varies(|t| t.sensors)).collect();
     let picture = |group: &Group| {
-        let curves = Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.sensors)));
+        let curves = BodyState::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.sensors)));
         let all = curves.iter().flat_map(|c| c.1.iter().map(|o| o.error));
         let mut plot = Plot::new(&group.label, sensors_axis(&group.trials), errors(all));
         let mut marked = 0;
@@ -143,8 +148,8 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut pictures = Vec::new();
     for found in placed(&refs).iter().filter(|found| found.levels.len() > 1).take(MOST_PLOTS) {
-        let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
-        let curve = |(searched, body)| -> (bool, Body, Vec<Point>) {
+        let ways = [false, true].into_iter().flat_map(|s| BodyState::ALL.map(|body| (s, body)));
+        let curve = |(searched, body)| -> (bool, BodyState, Vec<Point>) {
             let of = |l: &SensorLevel| Some((l.sensors as f64, l.error(searched, body, Set::Holdout)?));
             (searched, body, found.levels.iter().filter_map(of).collect())
         };
@@ -168,7 +173,7 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
          a search that uses only training samples. Geometric means over placements and seeds.",
         legend(&BODIES),
         pictures,
-        || Question::Placed.answer(trials, Terms::default()),
+        || Question::Placed.answer(trials, DecisionTerms::default()),
     )
 }
 
@@ -204,7 +209,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
          bodies after training.",
         vec![],
         random_groups(&refs).into_iter().filter_map(picture).collect(),
-        || Question::Random.answer(trials, Terms::default()),
+        || Question::Random.answer(trials, DecisionTerms::default()),
     )
 }
 
@@ -213,14 +218,14 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && t.curves.iter().all(|c| !c.is_empty());
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
     let schedules = paired::schedules(&refs);
-    let of = |(rate, trials): &(&str, Vec<&Trial>), by: paired::Progress| {
+    let of = |(rate, trials): &(&str, Vec<&Trial>), by: paired::TrainingMeasure| {
         let ratio = paired::iterations(trials, by)?;
         let interval = interval(&ratio);
         let rate = if schedules.len() > 1 { format!(", {rate} rate") } else { String::new() };
         Some(format!("{} times ({interval}) by {}{rate}", number(ratio.ratio), by.name()))
     };
     let ratios: Vec<String> =
-        schedules.iter().flat_map(|s| paired::Progress::ALL.map(|by| of(s, by))).flatten().collect();
+        schedules.iter().flat_map(|s| paired::TrainingMeasure::ALL.map(|by| of(s, by))).flatten().collect();
     if ratios.is_empty() {
         return None;
     }
@@ -235,10 +240,10 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let groups = groups(&refs, &[SENSORS, COMPLEXITY].concat());
     let drawn = groups.iter().take(MOST_PLOTS).flat_map(|group| ways.map(|way| (group, way)));
     for (group, (way, quantity, of)) in drawn {
-        let curve = |body: Body| {
+        let curve = |body: BodyState| {
             quartile_curve(group.trials.iter().flat_map(|trial| &of(trial)[body as usize]).collect())
         };
-        let curves = Body::ALL.map(|body| (body.name(), curve(body)));
+        let curves = BodyState::ALL.map(|body| (body.name(), curve(body)));
         if curves.iter().all(|c| c.1.is_empty()) {
             continue;
         }
@@ -295,8 +300,8 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let mut laws: Vec<(String, String)> = Vec::new();
     let drawn: Vec<Group> = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(&refs, but)).collect();
     for group in drawn.iter().filter(|g| g.varies(|t| t.design_parameters)).take(MOST_PLOTS) {
-        let curves =
-            Body::ALL.map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.design_parameters)));
+        let curves = BodyState::ALL
+            .map(|b| (b, observations(&group.trials, b, Set::Holdout, |t| t.design_parameters)));
         let all = || curves.iter().flat_map(|c| c.1.iter());
         let mut x = Axis::new("design parameters N", Scale::Log, all().map(|o| o.at));
         let sizes = places(&curves[0].1);
@@ -343,7 +348,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
         ),
         legend(&BODIES),
         pictures,
-        || Question::Sizes.answer(trials, Terms::default()),
+        || Question::Sizes.answer(trials, DecisionTerms::default()),
     )
 }
 

@@ -6,14 +6,14 @@ use serde_json::Value;
 
 use super::answers::answers;
 use super::search::{self, SearchState};
-use super::{ReportData, States, Sweep};
+use super::{ReportData, States, StoredSweep};
 
 use crate::analysis::numbers::mean;
-use crate::analysis::paired::{Progress, iteration_ratio};
-use crate::analysis::setting::{Settings, differing_paths};
-use crate::analysis::trial::{CastDecoder, CastReading, CurvePoint, Reading, UnderReading};
-use crate::analysis::{Body, Cluster, Set, Terms, Trial};
-use crate::look::{Answer, Data, MOST_ROWS, Table};
+use crate::analysis::paired::{TrainingMeasure, iteration_ratio};
+use crate::analysis::setting::{SharedSettings, differing_paths};
+use crate::analysis::trial::{CastDecoder, CurvePoint, LinearErrors, ReadingOnCasts, UnderErrors};
+use crate::analysis::{BodyState, Cluster, DecisionTerms, Set, Trial};
+use crate::look::{Answer, MOST_ROWS, PictureData, Table};
 use crate::provenance;
 use crate::reader::{Reader, Row};
 use crate::store::StoreError;
@@ -52,7 +52,7 @@ fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
 /// If the database cannot be read, or contains data that this program cannot read.
 pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreError> {
     let (mut trials, mut places) = (Vec::new(), HashMap::new());
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     reader
         .each(
             "SELECT id, hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
@@ -83,8 +83,8 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
                         [row.number("error_initial"), row.number("holdout_error_initial")],
                         [row.number("error_optimised"), row.number("holdout_error_optimised")],
                     ],
-                    medians: Body::ALL.map(|body| row.number(&Set::Median.column(body))),
-                    nonlinear: Body::ALL.map(|body| {
+                    medians: BodyState::ALL.map(|body| row.number(&Set::Median.column(body))),
+                    nonlinear: BodyState::ALL.map(|body| {
                         ["acceleration", "rotation"]
                             .map(|kind| row.number(&format!("nonlinear_{kind}_{}", body.name())))
                     }),
@@ -125,16 +125,16 @@ struct PendingCurves {
 
 impl PendingCurves {
     /// Stores a curve of the initial body; for the trained body, returns the ratio of iterations.
-    fn ratio(&mut self, hash: &str, body: Body, network: usize, curve: Vec<CurvePoint>) -> Option<f64> {
+    fn ratio(&mut self, hash: &str, body: BodyState, network: usize, curve: Vec<CurvePoint>) -> Option<f64> {
         if self.of != hash {
             *self = Self { of: hash.to_owned(), curves: HashMap::new() };
         }
         match body {
-            Body::Initial => {
+            BodyState::Initial => {
                 self.curves.insert(network, curve);
                 None
             }
-            Body::Optimised => iteration_ratio(self.curves.get(&network)?, &curve),
+            BodyState::Optimised => iteration_ratio(self.curves.get(&network)?, &curve),
         }
     }
 }
@@ -234,7 +234,7 @@ impl Loader<'_> {
             *curve_of(&mut curves(trial)[body as usize], network) = thinned(&curve);
             if compared {
                 let ratio = waiting.ratio(&trial.hash, body, network, curve);
-                trial.iterations[Progress::Loss as usize].extend(ratio);
+                trial.iterations[TrainingMeasure::Loss as usize].extend(ratio);
             }
             Ok(())
         })
@@ -263,7 +263,7 @@ impl Loader<'_> {
             let network = network as usize;
             *curve_of(&mut trial.error_curves[body as usize], network) = thinned(&curve);
             let ratio = waiting.ratio(&trial.hash, body, network, curve);
-            trial.iterations[Progress::Error as usize].extend(ratio);
+            trial.iterations[TrainingMeasure::Error as usize].extend(ratio);
             Ok(())
         })
         .await
@@ -296,7 +296,7 @@ impl Loader<'_> {
             let memory = ["before", "after"].map(|column| row.number(column).unwrap_or(0.0));
             if trial.readings.last().is_none_or(|last| last.memory != memory) {
                 let whole = row.count("whole") == 1;
-                trial.readings.push(Reading { memory, is_longest: whole, ..Reading::default() });
+                trial.readings.push(LinearErrors { memory, is_longest: whole, ..LinearErrors::default() });
             }
             let last = trial.readings.len() - 1;
             trial.readings[last].errors[body as usize] =
@@ -330,7 +330,7 @@ impl Loader<'_> {
             if let (Some((body, decoder)), Some(errors)) = (named, errors) {
                 let (casts, failed) = (row.count("count"), row.count("failed"));
                 let median = row.number("sample_median");
-                trial.casts.push(CastReading { body, decoder, casts, failed, errors, median });
+                trial.casts.push(ReadingOnCasts { body, decoder, casts, failed, errors, median });
             }
             Ok(())
         })
@@ -347,7 +347,7 @@ impl Loader<'_> {
             let Some((body, error)) = read else { return Ok(()) };
             let (stimuli, own) = (row.text("stimuli").to_owned(), row.count("own") == 1);
             let median = row.number("median").filter(|error| *error > 0.0);
-            trial.under.push(UnderReading { body, stimuli, own, error, median });
+            trial.under.push(UnderErrors { body, stimuli, own, error, median });
             Ok(())
         })
         .await
@@ -365,8 +365,8 @@ impl Loader<'_> {
     }
 }
 
-fn body_named(name: &str) -> Option<Body> {
-    Body::ALL.into_iter().find(|b| b.name() == name)
+fn body_named(name: &str) -> Option<BodyState> {
+    BodyState::ALL.into_iter().find(|b| b.name() == name)
 }
 
 fn curve_of(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<CurvePoint> {
@@ -380,7 +380,11 @@ fn curve_of(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Curve
 ///
 /// # Errors
 /// If the database cannot be read, or lacks data of the trial.
-pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<ReportData, StoreError> {
+pub async fn story(
+    reader: &mut Reader,
+    trial: Option<&str>,
+    terms: DecisionTerms,
+) -> Result<ReportData, StoreError> {
     let trials = finished_trials(reader).await?;
     let sweeps = sweeps(reader).await?;
     let states = states(reader, &differing_paths(trials.iter().map(|trial| &trial.setting))).await?;
@@ -403,7 +407,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
 pub async fn verdicts(
     reader: &mut Reader,
     trials: &[Trial],
-    terms: Terms,
+    terms: DecisionTerms,
 ) -> Result<Vec<Answer>, StoreError> {
     let sweeps = sweeps(reader).await?;
     let mut said = search::answers(&SearchState::all(reader, &sweeps).await);
@@ -411,13 +415,13 @@ pub async fn verdicts(
     Ok(said)
 }
 
-async fn sweeps(reader: &mut Reader) -> Result<Vec<Sweep>, StoreError> {
+async fn sweeps(reader: &mut Reader) -> Result<Vec<StoredSweep>, StoreError> {
     let columns = ["name", "text", "version", "created_at"];
     let sql = "SELECT name, text, version, created_at, spec->'$.goal' IS NOT NULL AS searched
          FROM sweep ORDER BY created_at, name";
     let sweeps = reader.rows(sql, |row| {
         let [name, text, version, created_at] = columns.map(|column| row.text(column).to_owned());
-        Sweep { name, text, version, created_at, searched: row.count("searched") == 1 }
+        StoredSweep { name, text, version, created_at, searched: row.count("searched") == 1 }
     });
     sweeps.await
 }
@@ -448,7 +452,7 @@ async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, S
     );
     let (all, shown) =
         (reader.columns(&sql).await?, 3 + paths.len().min(MOST_PATHS) + SHOWN.split(',').count());
-    let mut data = Data::new(&all);
+    let mut data = PictureData::new(&all);
     let first = Table { columns: all[..shown].to_vec(), rows: Vec::new() };
     let [state, reason] = ["state", "reason"].map(|name| first.column(name));
     let mut states = States { first, ..States::default() };
@@ -473,11 +477,12 @@ async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, S
 /// The trial whose ratio of held-out errors is nearest to the mean; if no initial body was evaluated, whose held-out error is.
 /// Never a trial that starts from a random body.
 fn typical(trials: &[Trial]) -> Option<&Trial> {
-    let log_ratio = |first: f64, t: &Trial| Some(first.ln() - t.error(Body::Optimised, Set::Holdout)?.ln());
+    let log_ratio =
+        |first: f64, t: &Trial| Some(first.ln() - t.error(BodyState::Optimised, Set::Holdout)?.ln());
     let all = |measure: &dyn Fn(&Trial) -> Option<f64>| -> Vec<(f64, &Trial)> {
         trials.iter().filter(|t| !t.starts_random()).filter_map(|t| Some((measure(t)?, t))).collect()
     };
-    let mut measured = all(&|t| log_ratio(t.error(Body::Initial, Set::Holdout)?, t));
+    let mut measured = all(&|t| log_ratio(t.error(BodyState::Initial, Set::Holdout)?, t));
     if measured.is_empty() {
         measured = all(&|t| log_ratio(1.0, t));
     }

@@ -22,7 +22,7 @@ use maud::{Markup, PreEscaped, html};
 
 use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::resample::{REPLICATES, SEED};
-use crate::analysis::{Question, Terms, Trial};
+use crate::analysis::{DecisionTerms, Question, Trial};
 use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, contents, download, omitted_rows_note, page};
 use crate::reader::{CodeVersion, StoredTrial};
@@ -31,7 +31,7 @@ use crate::reader::{CodeVersion, StoredTrial};
 #[derive(Debug, Default)]
 pub struct ReportData {
     /// The sweeps, with their specs.
-    pub sweeps: Vec<Sweep>,
+    pub sweeps: Vec<StoredSweep>,
     /// State of all trials.
     pub states: States,
     /// Finished trials.
@@ -43,7 +43,7 @@ pub struct ReportData {
     /// The replayed trial, if one is stored whole.
     pub stored: Option<StoredTrial>,
     /// Terms of the decision on M.
-    pub terms: Terms,
+    pub terms: DecisionTerms,
     /// Searches for a design, or why one cannot be evaluated.
     pub searches: Vec<Result<search::SearchState, String>>,
 }
@@ -65,7 +65,7 @@ pub struct States {
 
 /// A sweep in the database.
 #[derive(Debug, Clone, Default)]
-pub struct Sweep {
+pub struct StoredSweep {
     /// Its name.
     pub name: String,
     /// Text of the spec file.
@@ -206,7 +206,7 @@ mod tests {
     /// A sweep that was edited and run again is named once, where it was first.
     #[test]
     fn the_title_names_each_sweep_once() {
-        let sweep = |name: &str| Sweep { name: name.into(), ..Sweep::default() };
+        let sweep = |name: &str| StoredSweep { name: name.into(), ..StoredSweep::default() };
         let story = ReportData { sweeps: ["b", "a", "b"].map(sweep).into(), ..ReportData::default() };
         assert!(html(story, &[], None).contains("<title>metasense: b, a</title>"));
     }

@@ -1,14 +1,14 @@
 //! Pictures of modes, which a page can animate, and curves of responses.
 
-use metasense_lab::modes::{Mode, Response, slowest};
+use metasense_lab::modes::{FrequencyResponse, Mode, slowest};
 use metasense_lab::replay::drawing;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 use serde_json::Value;
 
 use super::body::sketch;
-use crate::analysis::Body;
-use crate::look::body::{Frame, Sketch, frame};
+use crate::analysis::BodyState;
+use crate::look::body::{Sketch, ViewBox, frame};
 use crate::look::{Axis, Figure, Legend, Picture, Plot, SERIES, Scale, Table, legend, number, row, wave};
 use crate::reader::StoredTrial;
 
@@ -36,10 +36,10 @@ pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_
 ///
 /// # Errors
 /// If the modes of a body cannot be computed.
-pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result<Figure, Failure> {
+pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result<Figure, NoResult> {
     let frame = frame(drawings);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
-    for body in Body::ALL {
+    for body in BodyState::ALL {
         let modes = slowest(&stored.specs[body as usize], &stored.designs[body as usize], SHOWN)?;
         for (n, mode) in modes.iter().enumerate() {
             let label = format!("{} {}", body.word(), title(n, mode));
@@ -62,7 +62,7 @@ pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result
     .small(None))
 }
 
-fn swinging(sketch: &Sketch, frame: Frame, mode: &Mode, title: &str) -> Picture {
+fn swinging(sketch: &Sketch, frame: ViewBox, mode: &Mode, title: &str) -> Picture {
     let shape: Vec<[f64; 3]> = mode.shape.iter().map(|unit| unit.map(|c| c.re)).collect();
     let travel: Vec<f64> = mode.shape.iter().map(|unit| unit[0].norm().hypot(unit[1].norm())).collect();
     wave::mode(sketch, frame, &shape, &travel, title)
@@ -72,7 +72,7 @@ fn swinging(sketch: &Sketch, frame: Frame, mode: &Mode, title: &str) -> Picture 
 ///
 /// # Errors
 /// If the spec is invalid.
-pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<Picture>, Legend), Failure> {
+pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<Picture>, Legend), NoResult> {
     let sketch = sketch(&drawing(trial, design)?, &[]);
     let frame = frame([&sketch]);
     let shape = |(n, mode)| swinging(&sketch, frame, mode, &title(n, mode));
@@ -80,10 +80,14 @@ pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<
 }
 
 /// Curves of a unit's responses at these frequencies (Hz), one per panel, with their legend.
-pub fn responses(unit: usize, frequencies: &[f64], found: &[Vec<Response>]) -> (Vec<Picture>, Legend) {
+pub fn responses(
+    unit: usize,
+    frequencies: &[f64],
+    found: &[Vec<FrequencyResponse>],
+) -> (Vec<Picture>, Legend) {
     let panels = found.first().map_or(0, Vec::len);
     let class = |k: usize| SERIES.get(k).copied().unwrap_or("thin");
-    let size = |response: &Response, turn: bool| match turn {
+    let size = |response: &FrequencyResponse, turn: bool| match turn {
         true => response[2].norm(),
         false => response[0].norm().hypot(response[1].norm()),
     };

@@ -15,7 +15,7 @@ use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, leg
 
 /// A body's records, and the predictions of decoders from them.
 #[derive(Debug, Clone)]
-pub struct Body {
+pub struct BodyRecords {
     /// Its name.
     pub name: String,
     /// Origin of the records: measured, or the trial's held-out set.
@@ -32,9 +32,9 @@ pub struct Body {
 
 /// Bodies with the same clock, panels and sensors.
 #[derive(Debug, Clone)]
-pub struct Comparison {
+pub struct ComparableBodies {
     /// The bodies; ratios are relative to the first.
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<BodyRecords>,
     /// Whether all were recorded under the same forces.
     pub paired: bool,
     /// K, T, number of channels.
@@ -90,15 +90,15 @@ fn judged(body: &str, by: SignalSource, evaluated: &Evaluated, agreement: Option
     }
 }
 
-impl Comparison {
+impl ComparableBodies {
     /// Evaluates each body by its signals, and by those of its model and twin.
-    pub fn new(bodies: Vec<Body>, paired: bool, trial: &TrialSpec) -> Self {
+    pub fn new(bodies: Vec<BodyRecords>, paired: bool, trial: &TrialSpec) -> Self {
         let (instants, channels) = (trial.time.samples, trial.signals());
         let shape = [trial.panel_units.len(), instants, channels];
         let name = |m: usize, read: &Channel| format!("{}{m}", ["ax", "ay", "ω"][*read as usize]);
         let of_sensor = |m| trial.sensors.read().iter().map(move |read| name(m, read));
         let measured = bodies.iter().map(|body| judged(&body.name, body.by, &body.measured, None));
-        let modelled = |body: &Body, by: SignalSource, model: &Option<(Vec<f64>, Evaluated)>| {
+        let modelled = |body: &BodyRecords, by: SignalSource, model: &Option<(Vec<f64>, Evaluated)>| {
             let (signals, evaluated) = model.as_ref()?;
             let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
             Some(judged(&body.name, by, evaluated, Some(agreement)))
@@ -116,7 +116,7 @@ impl Comparison {
         table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
 
-    fn of(&self, body: &Body, by: SignalSource) -> Option<&BodyErrors> {
+    fn of(&self, body: &BodyRecords, by: SignalSource) -> Option<&BodyErrors> {
         self.judged.iter().find(|j| j.body == body.name && j.by == by)
     }
 

@@ -2,13 +2,13 @@
 
 use metasense_lab::replay::{Motion, Replay, drawing, motion, replay};
 use metasense_worker::design::overlaps;
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 
 use super::body::{self, sketch};
 use super::figures::BODIES;
 use super::modes;
 use super::strips::{Curve, Errors, RESIDUAL, Strip, dots, histories, representative, strips};
-use crate::analysis::Body;
+use crate::analysis::BodyState;
 use crate::analysis::kinds::brains_of;
 use crate::look::body::{Sketch, frame};
 use crate::look::wave::{self, animation, snapshot};
@@ -36,7 +36,7 @@ impl Replayed {
     ///
     /// # Errors
     /// If the trial cannot be simulated.
-    pub fn new(stored: &StoredTrial, threads: usize) -> Result<Self, Failure> {
+    pub fn new(stored: &StoredTrial, threads: usize) -> Result<Self, NoResult> {
         let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
         let again =
             |b: usize| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], INVERSE, threads);
@@ -56,7 +56,7 @@ impl Replayed {
     ///
     /// # Errors
     /// If the wave cannot be simulated.
-    pub fn figures(&self, sample: Option<usize>) -> Result<Vec<Figure>, Failure> {
+    pub fn figures(&self, sample: Option<usize>) -> Result<Vec<Figure>, NoResult> {
         let (stored, replays) = (&self.stored, &self.replays);
         let sample = sample.filter(|sample| self.test.contains(sample));
         let mut figures = Vec::new();
@@ -122,7 +122,7 @@ impl Replayed {
                 let of = |k: usize| (0..instants).filter_map(|n| half_width(b, k, n)).collect();
                 (0..panels).map(of).collect()
             };
-            let bands = Body::ALL.map(|body| (body.name().to_owned(), band(body as usize)));
+            let bands = BodyState::ALL.map(|body| (body.name().to_owned(), band(body as usize)));
             let names = ["truth", "initial", "optimised"].map(str::to_owned).into_iter();
             let sources = names.zip([truth, initial, optimised]).collect();
             let title = format!("sample {sample}: {} → {} %", errors[0], errors[1]);
@@ -165,8 +165,8 @@ impl Replayed {
         };
         let mut pairs: Vec<(usize, f64, f64)> = self.test.iter().filter_map(pair).collect();
         pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let errors = |body: Body| pairs.iter().map(|p| (p.0, [p.1, p.2][body as usize])).collect();
-        let bodies = Body::ALL.map(|b| Errors { class: b.name(), body: b.word(), errors: errors(b) });
+        let errors = |body: BodyState| pairs.iter().map(|p| (p.0, [p.1, p.2][body as usize])).collect();
+        let bodies = BodyState::ALL.map(|b| Errors { class: b.name(), body: b.word(), errors: errors(b) });
         let plot = dots("Each test sample", "test samples, by the initial body's error", &bodies, true);
         let better = pairs.iter().filter(|p| p.2 < p.1).count();
         Figure::new(
@@ -199,7 +199,7 @@ impl Replayed {
             number(moved),
             self.unlimited()
         );
-        let drawn = Body::ALL.map(|body| {
+        let drawn = BodyState::ALL.map(|body| {
             (format!("{} body", body.word()), body.name().to_owned(), self.bodies[body as usize].clone())
         });
         body::figure("bodies", "The body before and after training", caption, &drawn)
@@ -207,7 +207,7 @@ impl Replayed {
 
     /// A sentence about overlaps of the trained body if designs are not limited.
     fn unlimited(&self) -> String {
-        let spec = &self.stored.specs[Body::Optimised as usize];
+        let spec = &self.stored.specs[BodyState::Optimised as usize];
         match metasense_worker::problem::layout(&spec.body) {
             Ok(layout) if !spec.feasible.limits => {
                 let found = overlaps(&layout, &self.stored.designs[1]);
@@ -241,9 +241,9 @@ impl Replayed {
         }
         let frame = frame(&self.bodies);
         let (mut pictures, mut rows) = (Vec::new(), Vec::new());
-        let shown = Body::ALL.map(|body| {
+        let shown = BodyState::ALL.map(|body| {
             let Motion { displacements, velocities } = &motions[body as usize];
-            (body, &self.bodies[body as usize], wave::Motion { displacements, velocities })
+            (body, &self.bodies[body as usize], wave::DrawnMotion { displacements, velocities })
         });
         for (b, (body, sketch, motion)) in shown.iter().enumerate() {
             for &n in &shots {

@@ -6,12 +6,14 @@ use metasense_lab::{cost, tasks};
 use metasense_schemas::spec::{Goal, GoalReader, GoalReaderName, TrialSpec};
 use metasense_worker::FAILED;
 
-use super::Sweep;
-use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, confirming, most_fresh};
+use super::StoredSweep;
+use crate::analysis::goal::{
+    Candidate, CandidateStage, Class, Decision, DesignSearch, LEVELS, confirming, most_fresh,
+};
 use crate::analysis::setting::flatten;
 use crate::cell::brief;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
-use crate::plan::{Plan, Trial, counted};
+use crate::plan::{Plan, PlannedTrial, counted};
 use crate::reader::{Reader, TrialProgress};
 use crate::rounds::space::{SearchTrial, Space, on_fresh_seeds, rungs};
 use crate::store::StoreError;
@@ -64,7 +66,7 @@ impl SearchState {
     }
 
     /// The searches among sweeps, or why a search cannot be evaluated, such as missing files of its spec.
-    pub(super) async fn all(reader: &mut Reader, sweeps: &[Sweep]) -> Vec<Result<Self, String>> {
+    pub(super) async fn all(reader: &mut Reader, sweeps: &[StoredSweep]) -> Vec<Result<Self, String>> {
         let mut found = Vec::new();
         for sweep in sweeps.iter().filter(|sweep| sweep.searched) {
             let plan = Plan::new(format!("{}.toml", sweep.name), sweep.text.clone());
@@ -79,12 +81,12 @@ impl SearchState {
         found
     }
 
-    fn trial(&self, class: &Class) -> &Trial {
+    fn trial(&self, class: &Class) -> &PlannedTrial {
         &self.plan.trials[self.space.places[class.best].trial]
     }
 
     /// The chosen design, with the probability that it meets the requirement on a further seed.
-    pub fn chosen(&self) -> Option<(&Trial, f64)> {
+    pub fn chosen(&self) -> Option<(&PlannedTrial, f64)> {
         let chosen = self.decision.chosen?;
         let class = self.classes.iter().find(|class| class.best == chosen);
         let class = class.expect("it is the best of its class");
@@ -105,7 +107,7 @@ impl SearchState {
         let of_casts = |q: f64| format!(" at the {:.0}th percentile of casts", 100.0 * q);
         let of = goal.quantile.map_or(String::new(), of_casts);
         let unit = |name: &str| {
-            let mut known = tasks::Task::ALL.into_iter().map(tasks::Task::name);
+            let mut known = tasks::SensingTask::ALL.into_iter().map(tasks::SensingTask::name);
             known.find(|(task, _)| *task == name).map_or("", |(_, unit)| unit)
         };
         let tasks = goal.tasks.iter().flatten().map(|(task, most)| (task.name(), *most));
@@ -206,12 +208,12 @@ impl SearchState {
     }
 
     /// The stage of a class in words.
-    fn said(&self, stage: Stage) -> String {
+    fn said(&self, stage: CandidateStage) -> String {
         let seeds = confirming(&self.space.goal);
         match stage {
-            Stage::Screened => format!("screened on {} seeds", self.space.goal.fresh),
-            Stage::Judged(true) => format!("confirmed on {seeds} seeds"),
-            Stage::Judged(false) => format!("not confirmed on {seeds} seeds"),
+            CandidateStage::Screened => format!("screened on {} seeds", self.space.goal.fresh),
+            CandidateStage::Judged(true) => format!("confirmed on {seeds} seeds"),
+            CandidateStage::Judged(false) => format!("not confirmed on {seeds} seeds"),
             _ => STAGES[place(stage)].1.to_owned(),
         }
     }
@@ -254,12 +256,12 @@ fn setting(space: &Space, spec: &TrialSpec) -> String {
 }
 
 /// Index of a stage in [`STAGES`].
-fn place(stage: Stage) -> usize {
+fn place(stage: CandidateStage) -> usize {
     match stage {
-        Stage::Predicted => 0,
-        Stage::Looked => 1,
-        Stage::Trained => 2,
-        Stage::Screened | Stage::Judged(_) => 3,
+        CandidateStage::Predicted => 0,
+        CandidateStage::Looked => 1,
+        CandidateStage::Trained => 2,
+        CandidateStage::Screened | CandidateStage::Judged(_) => 3,
     }
 }
 
@@ -343,8 +345,9 @@ impl SearchData {
             candidates.push(candidate);
         }
         let spent = reader.spent(&plan.source.text).await?;
-        let taken = |trial: &Trial| spent.get(&trial.hash).and_then(|(_, kept)| *kept);
-        let finished: Vec<&Trial> = plan.trials.iter().filter(|trial| taken(trial).is_some()).collect();
+        let taken = |trial: &PlannedTrial| spent.get(&trial.hash).and_then(|(_, kept)| *kept);
+        let finished: Vec<&PlannedTrial> =
+            plan.trials.iter().filter(|trial| taken(trial).is_some()).collect();
         let seconds: f64 = finished.iter().filter_map(|trial| taken(trial)).sum();
         let pace = if finished.is_empty() { 1.0 } else { seconds / cost::total(finished) };
         let seconds = spent.values().fold(0.0, |all, (seconds, _)| all + seconds);
@@ -373,7 +376,7 @@ fn missed(goal: &Goal) -> f64 {
 fn stored_candidate(
     space: &Space,
     place: &SearchTrial,
-    trial: &Trial,
+    trial: &PlannedTrial,
     standing: &TrialProgress,
 ) -> Candidate {
     let mut candidate = place.candidate.clone();
@@ -427,6 +430,6 @@ fn fresh(
 }
 
 /// A search without results.
-pub fn begun(space: &Space) -> Search {
-    Search::new(&space.goal, space.places.iter().map(|place| place.candidate.clone()))
+pub fn begun(space: &Space) -> DesignSearch {
+    DesignSearch::new(&space.goal, space.places.iter().map(|place| place.candidate.clone()))
 }

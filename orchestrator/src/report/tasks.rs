@@ -9,7 +9,7 @@ use super::words::left_out;
 use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::paired::Ratio;
 use crate::analysis::tasks::{TaskResult, in_steps, ratio, results, trained_for};
-use crate::analysis::{Body, Question, Terms, Trial};
+use crate::analysis::{BodyState, DecisionTerms, Question, Trial};
 use crate::look::grid::{Cell, grid};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
 
@@ -123,7 +123,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         ),
         names.iter().zip(&CLASSES[1..]).map(|(by, class)| (*class, format!("trained for {by}"))).collect(),
         pictures,
-        || Question::Tasks.answer(trials, Terms::default()),
+        || Question::Tasks.answer(trials, DecisionTerms::default()),
     )
 }
 
@@ -140,7 +140,7 @@ fn details(trials: &[&Trial]) -> Vec<Picture> {
         let all = trials().flat_map(|trial| trial.tasks.iter().map(move |read| (*trial, read)));
         all.filter(|(_, read)| read.readout == "direct" && !read.detail.is_empty())
     };
-    let of = |task: &str, body: Body| -> Vec<&TaskReading> {
+    let of = |task: &str, body: BodyState| -> Vec<&TaskReading> {
         let is_own = |read: &TaskReading| read.task == task && read.body == body.name();
         // of bodies trained for this task, if there are any
         let specialised = readings().any(|(trial, read)| read.task == task && trained_for(trial) == task);
@@ -150,7 +150,7 @@ fn details(trials: &[&Trial]) -> Vec<Picture> {
     };
     let tasks = in_order(readings().map(|(_, read)| &read.task[..]));
     let picture = |task: &str| {
-        let both = Body::ALL.map(|body| (body, of(task, body)));
+        let both = BodyState::ALL.map(|body| (body, of(task, body)));
         if task == "position" {
             let by_panel = |read: &TaskReading| {
                 read.detail.iter().map(|[panel, mean, count]| (*panel as u32, *mean, *count)).collect()
@@ -171,7 +171,7 @@ fn details(trials: &[&Trial]) -> Vec<Picture> {
     tasks.into_iter().flat_map(picture).collect()
 }
 
-fn confusion(label: &str, task: &str, body: Body, readings: &[&TaskReading]) -> Picture {
+fn confusion(label: &str, task: &str, body: BodyState, readings: &[&TaskReading]) -> Picture {
     let mut counts = BTreeMap::<[u32; 2], f64>::new();
     for [truth, said, count] in readings.iter().flat_map(|read| &read.detail) {
         *counts.entry([*truth as u32, *said as u32]).or_default() += count;
@@ -197,7 +197,7 @@ fn confusion(label: &str, task: &str, body: Body, readings: &[&TaskReading]) -> 
 fn means(
     title: &str,
     (across, name): (&str, impl Fn(&u32) -> String),
-    bodies: &[(Body, Vec<&TaskReading>); 2],
+    bodies: &[(BodyState, Vec<&TaskReading>); 2],
     rows: impl Fn(&TaskReading) -> Vec<(u32, f64, f64)>,
 ) -> Picture {
     let sums = bodies.each_ref().map(|(_, readings)| {

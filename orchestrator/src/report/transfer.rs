@@ -4,7 +4,7 @@ use super::casts::{CLASSES, CastMark, MOST_SETTINGS, aside, distinct_names, lege
 use super::words::left_out;
 use crate::analysis::bodies::BodyTrials;
 use crate::analysis::transfer::{Setting, settings};
-use crate::analysis::{Question, Terms, Trial};
+use crate::analysis::{DecisionTerms, Question, Trial};
 use crate::look::{Answer, Figure, Picture, number};
 
 /// One position per kind of forces with bodies side by side: dots for decoders fitted under these forces, lines to decoders fitted
@@ -24,7 +24,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         ),
         legend(&names),
         found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
-        || Question::Transfer.answer(trials, Terms::default()),
+        || Question::Transfer.answer(trials, DecisionTerms::default()),
     )
 }
 

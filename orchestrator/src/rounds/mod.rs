@@ -8,8 +8,8 @@ use std::path::Path;
 
 use crate::analysis::until::{self, TrialErrors};
 use crate::engine::RerunPolicy;
-use crate::plan::{Plan, Trial};
-use crate::scheduler::Outcome;
+use crate::plan::{Plan, PlannedTrial};
+use crate::scheduler::RunOutcome;
 use crate::store::StoreError;
 
 pub use search::search;
@@ -41,9 +41,9 @@ pub trait Runs {
     /// Runs the open trials among these; `None` if there are none.
     fn run(
         &mut self,
-        trials: &[Trial],
+        trials: &[PlannedTrial],
         again: RerunPolicy,
-    ) -> impl Future<Output = Result<Option<Outcome>, Self::Error>>;
+    ) -> impl Future<Output = Result<Option<RunOutcome>, Self::Error>>;
 
     /// Whether a stop was requested while the last open trial of a round ended.
     fn is_stopping(&self) -> bool;
@@ -59,14 +59,15 @@ pub trait Runs {
 ///
 /// # Panics
 /// If the sweep has no [until].
-pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Option<Outcome>, R::Error> {
+pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Option<RunOutcome>, R::Error> {
     let mut said = Vec::new();
     loop {
         let found = round.trial_results().await?;
         let plan = round.plan();
         let questions = plan.spec.until.as_ref().expect("the sweep has questions");
         let decision = until::of_plan(questions, &plan.trials, &found, round.workers());
-        let wanted: Vec<Trial> = decision.wanted.iter().map(|&place| plan.trials[place].clone()).collect();
+        let wanted: Vec<PlannedTrial> =
+            decision.wanted.iter().map(|&place| plan.trials[place].clone()).collect();
         for line in decision.standings.iter().map(ToString::to_string) {
             if !said.contains(&line) {
                 round.say(&line);
@@ -74,9 +75,9 @@ pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Opt
             }
         }
         match round.run(&wanted, again).await? {
-            Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
+            Some(RunOutcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
             // trials of later rounds may also have results of other code
-            Some(Outcome::Complete) => {
+            Some(RunOutcome::Complete) => {
                 again = RerunPolicy { other_code: again.other_code, ..RerunPolicy::default() }
             }
             None if !decision.is_settled() => {
@@ -89,7 +90,7 @@ pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Opt
 }
 
 /// Reports a stop between two rounds, when no trial is open.
-fn stopped_between(round: &impl Runs) -> Outcome {
+fn stopped_between(round: &impl Runs) -> RunOutcome {
     round.say("stopped between two rounds; the same command resumes the run");
-    Outcome::Interrupted
+    RunOutcome::Interrupted
 }

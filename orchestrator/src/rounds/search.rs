@@ -7,10 +7,10 @@ use super::{Runs, stopped_between};
 use crate::analysis::goal::{Decision, LEVELS, Work, confirming, fresh_after, most_fresh};
 use crate::engine::RerunPolicy;
 use crate::look::number;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, PlannedTrial};
 use crate::reader::Reader;
 use crate::report::search::{Bodies, SearchData, begun};
-use crate::scheduler::Outcome;
+use crate::scheduler::RunOutcome;
 
 /// Runs the trials that the search requests until it ends.
 ///
@@ -20,7 +20,7 @@ pub async fn search<R: Runs>(
     mut round: R,
     space: &Space,
     again: RerunPolicy,
-) -> Result<Option<Outcome>, R::Error> {
+) -> Result<Option<RunOutcome>, R::Error> {
     let (mut bodies, mut search) = (Bodies::new(), begun(space));
     let own: Vec<String> = round.plan().trials.iter().map(|trial| trial.hash.clone()).collect();
     round.reopen(&own.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
@@ -50,10 +50,10 @@ pub async fn search<R: Runs>(
         round.say(&intent(space, &decision));
         let work = decision.work.iter();
         let trials = work.flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work));
-        let trials: Vec<Trial> = trials.collect();
+        let trials: Vec<PlannedTrial> = trials.collect();
         match round.run(&trials, RerunPolicy::default()).await? {
-            Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
-            Some(Outcome::Complete) => {}
+            Some(RunOutcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
+            Some(RunOutcome::Complete) => {}
             ended => return Ok(ended),
         }
     }
@@ -69,12 +69,12 @@ fn fresh(space: &Space, plan: &Plan, bodies: &Bodies) -> Vec<String> {
 }
 
 /// The trials of a piece of work.
-fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: Work) -> Vec<Trial> {
+fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: Work) -> Vec<PlannedTrial> {
     let trial = &plan.trials[space.places[candidate].trial];
     match work {
         Work::Level(level) => {
             let pause = rungs(&trial.spec).get(level).copied().flatten();
-            vec![Trial { pause, ..trial.clone() }]
+            vec![PlannedTrial { pause, ..trial.clone() }]
         }
         Work::Screen | Work::Confirm(_) => {
             let seeds = fresh_after(&space.goal, work);

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use metasense_lab::cost;
 use metasense_lab::demands::Demands;
 use metasense_schemas::spec::{
-    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, Point, TrialSpec, flatten,
+    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, SweepPoint, TrialSpec, flatten,
 };
 use metasense_source::SpecError;
 pub use metasense_worker::RUNGS;
@@ -17,7 +17,7 @@ use serde_json::Value;
 use crate::analysis::goal::{Candidate, LEVELS, Setting};
 use crate::analysis::trial::CastDecoder;
 use crate::look::number;
-use crate::plan::{Plan, Trial, located};
+use crate::plan::{Plan, PlannedTrial, located};
 
 /// A trial that may meet the goal.
 #[derive(Debug, Clone)]
@@ -102,7 +102,7 @@ impl Space {
             let remedy = format!("no trial of the sweep meets it: the smallest value is {}", because.least);
             return Err(plan.source.error(because.key, &remedy));
         }
-        let trials: Vec<&Trial> = places.iter().map(|place| &plan.trials[place.trial]).collect();
+        let trials: Vec<&PlannedTrial> = places.iter().map(|place| &plan.trials[place.trial]).collect();
         let sweep = &plan.spec.sweep;
         let named: Vec<&String> =
             sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
@@ -150,7 +150,7 @@ fn limits(goal: &Goal) -> Vec<Limit> {
     all.into_iter().flatten().collect()
 }
 
-fn of_cost(cost: Option<Cost>, trial: &Trial, demands: Option<&Demands>) -> [f64; 3] {
+fn of_cost(cost: Option<Cost>, trial: &PlannedTrial, demands: Option<&Demands>) -> [f64; 3] {
     let operations = demands.map_or(f64::INFINITY, |demands| demands.operations as f64);
     let all = [trial.spec.point.sensors as f64, operations, trial.units as f64];
     match cost {
@@ -214,9 +214,9 @@ fn tasks_are_estimated(goal: &Goal, trial: &TrialSpec) -> Result<(), (String, St
 
 /// Keys in which the trials' settings differ, one per pattern of values, keys of the sweep first; and the settings as
 /// coordinates from 0 to 1: scaled logarithms of numbers, one coordinate per value of anything else.
-fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
+fn coordinates(trials: &[&PlannedTrial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
     const NOT: [&str; 2] = ["point.placement", "point.seed"];
-    let leaves = |trial: &&Trial| {
+    let leaves = |trial: &&PlannedTrial| {
         let spec = TrialSpec { sensor_units: Vec::new(), panel_units: Vec::new(), ..trial.spec.clone() };
         flatten(&serde_json::to_value(&spec).expect("a trial is JSON"))
     };
@@ -283,10 +283,10 @@ pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
 /// If `body` is not a body of a trial.
 pub fn on_fresh_seeds<'a>(
     plan: &'a Plan,
-    trial: &'a Trial,
+    trial: &'a PlannedTrial,
     (body, design): &(TrialSpec, Vec<f64>),
     seeds: usize,
-) -> impl Iterator<Item = Trial> + use<'a> {
+) -> impl Iterator<Item = PlannedTrial> + use<'a> {
     let last = plan.spec.sweep.seeds.iter().max().copied().unwrap_or(0);
     let mut spec = body.clone();
     if spec.sensors.is_relative() && spec.sensors.relative_to.is_none() {
@@ -305,9 +305,9 @@ pub fn on_fresh_seeds<'a>(
     spec.sensors.search = None;
     (0..seeds).map(move |n| {
         let seed = last.saturating_add(1 + n as u64);
-        let spec = TrialSpec { point: Point { seed, ..spec.point }, ..spec.clone() };
+        let spec = TrialSpec { point: SweepPoint { seed, ..spec.point }, ..spec.clone() };
         let ((cost, weight), hash) = (cost::of(&spec, trial.units), spec.hash());
-        Trial {
+        PlannedTrial {
             training: hash.clone(), // unique, because no body is trained
             hash,
             trains: true,

@@ -92,12 +92,12 @@ pub enum Action<P: Payload> {
     /// Count a message with an outdated lease.
     CountStale(Lease),
     /// The run is over.
-    End(Outcome),
+    End(RunOutcome),
 }
 
 /// How a run ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
+pub enum RunOutcome {
     /// Every trial has ended.
     Complete,
     /// Stopped on request.

@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-pub use event::{Action, Event, Outcome, Payload, RecordKind};
+pub use event::{Action, Event, Payload, RecordKind, RunOutcome};
 pub use fitness::{UNFIT_DEATHS, UNFIT_TRIALS};
 pub use slot::WorkerId;
 pub use steer::{Steer, SteerAnswer, SteerRefusal};
@@ -84,7 +84,7 @@ enum Stopping {
 
 /// State of the scheduler.
 #[derive(Debug, Clone, Default)]
-pub struct State {
+pub struct SchedulerState {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
@@ -118,7 +118,7 @@ struct Stop {
 
 /// Updates the state and returns the actions. All decisions are made here.
 #[must_use = "actions must be carried out"]
-pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
+pub fn on_event<P: Payload>(state: &mut SchedulerState, event: Event<P>) -> Vec<Action<P>> {
     let mut actions = Vec::new();
     if state.ended {
         return actions;
@@ -191,7 +191,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
     actions
 }
 
-impl State {
+impl SchedulerState {
     /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
@@ -521,12 +521,12 @@ impl State {
             return;
         }
         let outcome = match (self.stop.stage, self.unfit()) {
-            (Stopping::Broken, _) => Outcome::StoreBroken,
-            _ if self.unsettled == 0 => Outcome::Complete,
-            (Stopping::Asked | Stopping::AtOnce, _) => Outcome::Interrupted,
-            (Stopping::No, Some(reason)) => Outcome::Unfit(reason),
+            (Stopping::Broken, _) => RunOutcome::StoreBroken,
+            _ if self.unsettled == 0 => RunOutcome::Complete,
+            (Stopping::Asked | Stopping::AtOnce, _) => RunOutcome::Interrupted,
+            (Stopping::No, Some(reason)) => RunOutcome::Unfit(reason),
             (Stopping::No, None) if self.slots.iter().all(|slot| slot.work == SlotState::GivenUp) => {
-                Outcome::NoWorkers
+                RunOutcome::NoWorkers
             }
             (Stopping::No, None) => return,
         };

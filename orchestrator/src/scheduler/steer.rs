@@ -6,7 +6,7 @@
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Action, Millis, Payload, Phase, Prior, Slot, SlotState, State, Stopping};
+use super::{Action, Millis, Payload, Phase, Prior, SchedulerState, Slot, SlotState, Stopping};
 
 /// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl SteerRefusal {
     }
 }
 
-impl State {
+impl SchedulerState {
     pub(super) fn steer<P: Payload>(&mut self, steer: Steer, out: &mut Vec<Action<P>>) -> SteerAnswer {
         match steer {
             Steer::Add(priors) => {

@@ -60,7 +60,7 @@ struct Body {
 
 struct World {
     dice: Dice,
-    state: State,
+    state: SchedulerState,
     now: Millis,
     /// Future events, by time and order of scheduling.
     queue: BTreeMap<(Millis, u64), Event<Simulated>>,
@@ -97,7 +97,7 @@ struct World {
     store_breaks: bool,
     /// Recorded when a failed seed runs again.
     history: Option<Vec<String>>,
-    outcome: Option<Outcome>,
+    outcome: Option<RunOutcome>,
 }
 
 impl World {
@@ -120,7 +120,7 @@ impl World {
         let calm = dice.percent(20);
         let chance = |dice: &mut Dice, most| if calm { 0 } else { dice.below(most) };
         let mut world = Self {
-            state: State::new(settings, &priors),
+            state: SchedulerState::new(settings, &priors),
             now: 0,
             queue: BTreeMap::new(),
             scheduled: 0,
@@ -482,7 +482,7 @@ impl World {
     fn check_end(&mut self) {
         let outcome = self.outcome.expect("the run has ended");
         let dead: HashSet<u32> = self.deaths.iter().copied().collect();
-        if let Outcome::Unfit(reason) = outcome {
+        if let RunOutcome::Unfit(reason) = outcome {
             let enough = match reason {
                 Reason::Shortage => self.shortages > self.state.settings.retries,
                 _ => self.deaths.len() >= UNFIT_DEATHS as usize && dead.len() >= UNFIT_TRIALS,
@@ -494,14 +494,14 @@ impl World {
             let most = UNFIT_DEATHS as usize + 2 * 6; // two trials die six times each before others are assigned
             assert!(self.deaths.len() <= most, "{} attempts were burned", self.deaths.len());
         }
-        assert!(self.interrupt || outcome != Outcome::Interrupted, "nobody has interrupted");
-        assert!(self.store_breaks || outcome != Outcome::StoreBroken, "the store was in order");
+        assert!(self.interrupt || outcome != RunOutcome::Interrupted, "nobody has interrupted");
+        assert!(self.store_breaks || outcome != RunOutcome::StoreBroken, "the store was in order");
         let alive = self.processes.values().filter(|process| **process != Process::Gone).count();
         assert_eq!(alive, 0, "processes are left behind");
         let waited = self.now - self.interrupted.unwrap_or(self.now);
         let most = self.state.settings.grace + 1_000;
         assert!(waited <= most, "the run ended {waited} ms after it was asked to, of {most} at most");
-        if outcome != Outcome::Complete {
+        if outcome != RunOutcome::Complete {
             return;
         }
         for trial in 0..self.bodies.len() {

@@ -40,7 +40,7 @@ use crate::report::samples::Replayed;
 pub use address::Address;
 use guard::{WriteTimeout, guard};
 use lobby::{ClientConnection, ConnectionLimiter, STAY};
-pub use source::{DatabaseState, Source};
+pub use source::{DatabaseState, WatchedDatabase};
 pub use token::Token;
 pub use trials::Trials;
 
@@ -64,7 +64,7 @@ const ICON: &str = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 1
 /// State of the server.
 #[derive(Debug)]
 pub struct ServerState {
-    sources: Vec<Source>,
+    sources: Vec<WatchedDatabase>,
     /// Permits reading.
     reading: Token,
     /// Permits control of runs.
@@ -79,7 +79,12 @@ pub struct ServerState {
 
 impl ServerState {
     /// Serves sources at an address to users with the key `reading`; the token `steering` permits control of their runs.
-    pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>, address: Address) -> Arc<Self> {
+    pub fn new(
+        sources: Vec<WatchedDatabase>,
+        reading: Token,
+        steering: Option<Token>,
+        address: Address,
+    ) -> Arc<Self> {
         let (questions, replays) = (Arc::new(Semaphore::new(QUESTIONS)), Semaphore::new(1));
         let (followed, replayed) = (Arc::new(Semaphore::new(FOLLOWED)), Mutex::default());
         Arc::new(Self { sources, reading, steering, address, followed, questions, replays, replayed })
@@ -174,7 +179,7 @@ async fn file_of(served: &ServerState, number: &str) -> Result<PathBuf, PageErro
 }
 
 /// The source with this number.
-fn source<'a>(served: &'a ServerState, number: &str) -> Result<&'a Source, PageError> {
+fn source<'a>(served: &'a ServerState, number: &str) -> Result<&'a WatchedDatabase, PageError> {
     number.parse::<usize>().ok().and_then(|i| served.sources.get(i)).ok_or(PageError::NoPage)
 }
 

@@ -10,7 +10,7 @@ use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
 
 use super::trials::{Keeper, Trials};
-use crate::analysis::Terms;
+use crate::analysis::DecisionTerms;
 use crate::cluster::facts::Facts;
 use crate::exit::chain;
 use crate::look::{Answer, Figure, Table};
@@ -79,7 +79,7 @@ pub struct Answers {
 
 /// A database that can be watched.
 #[derive(Debug)]
-pub struct Source {
+pub struct WatchedDatabase {
     /// Its name.
     pub name: String,
     /// The file, if a run can hold it.
@@ -89,7 +89,7 @@ pub struct Source {
     stop: Arc<Notify>,
 }
 
-impl Source {
+impl WatchedDatabase {
     /// Starts to watch a database, or a folder of shards.
     ///
     /// # Errors
@@ -283,7 +283,7 @@ async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
     let begun = Instant::now();
     let trials = Reader::with_reader(&db, async |reader| finished_trials(reader).await).await?;
     let work = move || {
-        let terms = Terms::default();
+        let terms = DecisionTerms::default();
         let drawn = match trials.len() <= MOST_DRAWN {
             true => vec![
                 figures::pairs(&trials),

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use crate::analysis::setting::{Setting, Settings};
+use crate::analysis::setting::{Setting, SharedSettings};
 use crate::cell::{brief, of_value, plain};
 use crate::reader::Reader;
 use crate::store::StoreError;
@@ -121,7 +121,7 @@ pub struct Trials {
 /// Keeps trials between reads.
 #[derive(Debug, Default)]
 pub struct Keeper {
-    settings: Settings,
+    settings: SharedSettings,
     places: HashMap<i64, usize>,
     now: Trials,
 }

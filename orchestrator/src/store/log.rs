@@ -9,7 +9,7 @@ pub const CHARACTERS: usize = 2000;
 
 /// Severity of a log line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Level {
+pub enum LogLevel {
     /// Information.
     Info,
     /// Something failed, but the trial continues.
@@ -18,7 +18,7 @@ pub enum Level {
     Error,
 }
 
-impl Level {
+impl LogLevel {
     fn name(self) -> &'static str {
         match self {
             Self::Info => "info",
@@ -30,7 +30,7 @@ impl Level {
 
 impl Store {
     /// Stores a line of an attempt, limited in length and number; errors are always stored.
-    pub async fn log(&mut self, hash: &str, attempt: u32, level: Level, text: &str) -> Result<()> {
+    pub async fn log(&mut self, hash: &str, attempt: u32, level: LogLevel, text: &str) -> Result<()> {
         let id = self.id(hash)?;
         let text: String = match text.char_indices().nth(CHARACTERS) {
             Some((end, _)) => format!("{} …", &text[..end]),

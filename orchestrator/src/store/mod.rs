@@ -47,12 +47,12 @@ pub(crate) use digest::check;
 pub(crate) use error::{OPENING, is_no_json, is_not_opened, is_shortage, is_trouble};
 pub use error::{Result, StoreError};
 pub(crate) use lock::lock;
-pub use log::Level;
+pub use log::LogLevel;
 pub use metasense_worker::files::{npy_bytes, npy_values};
 pub use presence::{FileLoss, Presence};
 pub use prior::PriorProgress;
 pub use runs::{RunKey, RunPlan};
-pub use write::Array;
+pub use write::StoredArray;
 pub(crate) use write::{RELEASE_ORPHANS, read_checkpoint};
 
 /// The writer. Cancelling a call leaves it in an undefined state: then drop the store.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use metasense_schemas::record::Checkpoint;
 use sqlx::AssertSqlSafe;
 
-use super::{Level, Result, Store, StoreError, check, npy_values};
+use super::{LogLevel, Result, Store, StoreError, check, npy_values};
 
 /// Progress of a trial in earlier runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -84,13 +84,13 @@ impl Store {
                     break;
                 }
                 Ok(None) => {}
-                Err(why) => self.log(hash, attempt, Level::Warn, &why.to_string()).await?,
+                Err(why) => self.log(hash, attempt, LogLevel::Warn, &why.to_string()).await?,
             }
         }
         // without a usable body of another trial, this trial uses its own checkpoint
         let Some(((other, name, reached, _), body)) = found else { return own };
         if let Err(why) = own {
-            self.log(hash, attempt, Level::Warn, &why.to_string()).await?;
+            self.log(hash, attempt, LogLevel::Warn, &why.to_string()).await?;
         }
         self.in_transaction("taking over a body in", async |store| {
             store.take_over_steps(other, reached, id).await?;
@@ -101,7 +101,7 @@ impl Store {
         })
         .await?;
         let said = format!("resumes after step {reached} of trial {name}, which trains the same body");
-        self.log(hash, attempt, Level::Info, &said).await?;
+        self.log(hash, attempt, LogLevel::Info, &said).await?;
         Ok(Some(body))
     }
 

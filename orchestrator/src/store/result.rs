@@ -2,11 +2,11 @@
 
 use std::borrow::Cow;
 
-use metasense_schemas::record::{Band, BodyEvaluation, CastReading, NetworkEvaluation, TrialResult};
+use metasense_schemas::record::{BandRecord, BodyRecord, CastRecord, NetworkRecord, TrialResult};
 use metasense_worker::milestones;
 
 use super::digest::digest;
-use super::{Array, Store, npy_bytes, npy_values};
+use super::{Store, StoredArray, npy_bytes, npy_values};
 use crate::analysis::numbers::{most_above, network_mean};
 
 impl Store {
@@ -15,7 +15,7 @@ impl Store {
         &mut self,
         id: i64,
         result: &TrialResult,
-        arrays: &[Array<'_>],
+        arrays: &[StoredArray<'_>],
     ) -> sqlx::Result<()> {
         let mut query = sqlx::query(
             "UPDATE trial SET state = 'done', reason = NULL, error_initial = ?, error_optimised = ?,
@@ -26,7 +26,7 @@ impl Store {
                finished_at = strftime('%Y-%m-%dT%H:%M:%fZ')
              WHERE id = ?",
         );
-        let errors: [fn(&NetworkEvaluation) -> Option<f64>; 5] = [
+        let errors: [fn(&NetworkRecord) -> Option<f64>; 5] = [
             |n| n.error_test,
             |n| n.error_train,
             |n| n.error_holdout,
@@ -63,8 +63,8 @@ impl Store {
         &mut self,
         id: i64,
         body: &str,
-        evaluation: &BodyEvaluation,
-        arrays: &[Array<'_>],
+        evaluation: &BodyRecord,
+        arrays: &[StoredArray<'_>],
     ) -> sqlx::Result<()> {
         // networks with long training get the next numbers; their iterations distinguish them
         let (ordinary, long) = (&evaluation.networks, &evaluation.long);
@@ -103,7 +103,7 @@ impl Store {
         self.insert_values(id, &format!("alpha_{body}"), &evaluation.design).await
     }
 
-    async fn insert_bands(&mut self, id: i64, body: &str, bands: &[Band]) -> sqlx::Result<()> {
+    async fn insert_bands(&mut self, id: i64, body: &str, bands: &[BandRecord]) -> sqlx::Result<()> {
         for band in bands {
             run!(self, "INSERT OR REPLACE INTO band VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
                 id, body, band.cast.map_or(-1, i64::from), &band.reader, band.records, &band.method, &band.kind,
@@ -113,7 +113,7 @@ impl Store {
         Ok(())
     }
 
-    async fn insert_casts(&mut self, id: i64, body: &str, casts: &[CastReading]) -> sqlx::Result<()> {
+    async fn insert_casts(&mut self, id: i64, body: &str, casts: &[CastRecord]) -> sqlx::Result<()> {
         for reading in casts {
             let spread = reading.spread.unwrap_or_default();
             run!(self, "INSERT OR REPLACE INTO cast_reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";

@@ -1,6 +1,6 @@
 //! The writer's methods for sweeps: record their trials, and list those that have ended.
 
-use metasense_schemas::record::Trial;
+use metasense_schemas::record::PlannedTrial;
 use metasense_schemas::spec::SweepSpec;
 use serde_json::json;
 
@@ -14,7 +14,7 @@ impl Store {
     ///
     /// # Errors
     /// `FactsAlone` if the database contains only facts, from which trials cannot resume.
-    pub async fn begin_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[Trial]) -> Result<()> {
+    pub async fn begin_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[PlannedTrial]) -> Result<()> {
         let at = self.at("recording the sweep in");
         let facts = "SELECT EXISTS (SELECT 1 FROM elsewhere)";
         if sqlx::query_scalar(facts).fetch_one(&mut self.connection).await.map_err(&at)? {
@@ -45,7 +45,7 @@ impl Store {
 
     /// Records a sweep with its trials. Ids decrease: `v_trial` shows the sweep with the highest id, which is the first with the
     /// trial.
-    async fn insert_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[Trial]) -> Result<i64> {
+    async fn insert_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[PlannedTrial]) -> Result<i64> {
         let resolved = serde_json::to_string(spec).expect("a spec is JSON");
         self.in_transaction("recording the sweep in", async |store| {
             let id: i64 = bound!(sqlx::query_scalar(
@@ -111,7 +111,7 @@ const INSERT_SWEEP_TRIALS: &str = "
     ON CONFLICT (sweep_id, trial_id) DO UPDATE SET position = excluded.position";
 
 /// The row of a trial for the statements above.
-fn row(trial: &Trial) -> serde_json::Value {
+fn row(trial: &PlannedTrial) -> serde_json::Value {
     let spec = &trial.spec;
     json!([
         trial.hash,

@@ -15,7 +15,7 @@ pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// An array of a trial to store.
 #[derive(Debug, Clone, Copy)]
-pub struct Array<'a> {
+pub struct StoredArray<'a> {
     /// Name within the trial, for instance `signals_initial`.
     pub name: &'a str,
     /// Shape, outermost index first.
@@ -192,7 +192,7 @@ impl Store {
         hash: &str,
         attempt: u32,
         result: &TrialResult,
-        arrays: &[Array<'_>],
+        arrays: &[StoredArray<'_>],
     ) -> Result<()> {
         self.for_current_attempt(hash, attempt, "recording a result in", async |store, id| {
             store.end_attempt(id, attempt, "done", None).await?;

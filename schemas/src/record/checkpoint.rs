@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Band, BodyEvaluation, CastReading, Counters, Seconds};
+use super::{BandRecord, BodyRecord, CastRecord, StepSeconds, WorkCounts};
 
 /// State of Adam.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -18,7 +18,7 @@ pub struct Moments<T> {
 
 /// The best design so far.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Best {
+pub struct BestDesign {
     /// α (mm).
     pub design: Vec<f64>,
     /// Its test error (%).
@@ -38,7 +38,7 @@ pub struct Waypoint {
 
 /// A network in training.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Training {
+pub struct NetworkInTraining {
     /// Its weights.
     pub weights: Vec<f32>,
     /// State of Adam.
@@ -51,15 +51,15 @@ pub struct Training {
 
 /// Progress of the final comparison.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Comparison {
+pub struct ComparisonProgress {
     /// The bodies, the initial one first; the last may lack networks.
-    pub bodies: Vec<BodyEvaluation>,
+    pub bodies: Vec<BodyRecord>,
     /// The network in training on the last body.
-    pub training: Option<Training>,
+    pub training: Option<NetworkInTraining>,
     /// Counts of work.
-    pub counters: Counters,
+    pub counters: WorkCounts,
     /// CPU time by part.
-    pub seconds: Seconds,
+    pub seconds: StepSeconds,
 }
 
 /// The state from which a trial resumes.
@@ -76,7 +76,7 @@ pub struct Checkpoint {
     /// State of Adam for these weights.
     pub weight_moments: Moments<f32>,
     /// The best design so far.
-    pub best: Option<Best>,
+    pub best: Option<BestDesign>,
     /// Learning rate of the design relative to that of the protocol.
     pub caution: f64,
     /// Number of consecutive steps that were undone.
@@ -88,15 +88,15 @@ pub struct Checkpoint {
     /// The previous designs, newest last.
     pub trail: Vec<Waypoint>,
     /// The final comparison, if it has begun.
-    pub comparison: Option<Box<Comparison>>,
+    pub comparison: Option<Box<ComparisonProgress>>,
     /// Moves of sensors, by older programs only: outer step before a move, and the new units.
     pub moves: Vec<(u32, Vec<usize>)>,
     /// Fitness of the candidates so far, in protocol `random`.
     pub found: Vec<f64>,
     /// Errors on casts so far, per body.
-    pub casts: Vec<Vec<CastReading>>,
+    pub casts: Vec<Vec<CastRecord>>,
     /// Bands so far, per body.
-    pub bands: Vec<Vec<Band>>,
+    pub bands: Vec<Vec<BandRecord>>,
 }
 
 impl Checkpoint {
@@ -114,7 +114,7 @@ impl Checkpoint {
     pub fn after_training(steps: u32, design: Vec<f64>, best_step: u32) -> Self {
         let nothing = vec![0.0; design.len()];
         let design_moments = Moments { first: nothing.clone(), second: nothing, steps: steps.into() };
-        let best = Some(Best { design: design.clone(), error: 0.0, step: best_step });
+        let best = Some(BestDesign { design: design.clone(), error: 0.0, step: best_step });
         Self { step: steps, design, design_moments, best, caution: 1.0, ..Self::default() }
     }
 

@@ -31,7 +31,7 @@ pub use stimuli::{
     Augment, Decimal, ForceUnit, Part, Recorded, Resample, Separator, Signal, Stimuli, StimuliKind, TimeUnit,
     Trigger,
 };
-pub use trial::{Point, Training, TrialSpec, flatten};
+pub use trial::{SharedTraining, SweepPoint, TrialSpec, flatten};
 pub use until::{AtMost, Until};
 pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Variation, VariationFile};
 

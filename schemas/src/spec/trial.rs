@@ -12,7 +12,7 @@ use super::{
 /// One point of a sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Point {
+pub struct SweepPoint {
     /// Number of panels (K).
     pub panels: usize,
     /// Number of sensors (M).
@@ -49,7 +49,7 @@ pub struct TrialSpec {
     /// Limits of a feasible design.
     pub feasible: Feasible,
     /// Point of the sweep.
-    pub point: Point,
+    pub point: SweepPoint,
     /// Units of the panels.
     pub panel_units: Vec<usize>,
     /// Units with sensors; empty until a search has placed them.
@@ -83,7 +83,7 @@ impl TrialSpec {
     /// Returns a hash (32 hex digits) of the settings that determine the training of the body. Trials that share it train
     /// bit-identical bodies, whatever decodes them in the final comparison.
     pub fn training(&self) -> String {
-        Training::of(self).at(self)
+        SharedTraining::of(self).at(self)
     }
 
     /// Returns a hash (32 hex digits) of a body of this trial with this design and its sensors.
@@ -95,12 +95,12 @@ impl TrialSpec {
 
 /// The part of [`TrialSpec::training`] that is independent of placement and seed; costs as much as a hash.
 #[derive(Debug, Clone)]
-pub struct Training(String);
+pub struct SharedTraining(String);
 
-impl Training {
+impl SharedTraining {
     /// Computes this part for all trials that differ from `trial` in placement and seed at most.
     pub fn of(trial: &TrialSpec) -> Self {
-        let point = Point { placement: 0, seed: 0, ..trial.point };
+        let point = SweepPoint { placement: 0, seed: 0, ..trial.point };
         let mut spec =
             TrialSpec { evaluation: Evaluation::default(), point, sensor_units: Vec::new(), ..trial.clone() };
         if spec.optimise.linear() {
@@ -118,7 +118,7 @@ impl Training {
 
     /// Returns [`TrialSpec::training`] of one of these trials.
     pub fn at(&self, trial: &TrialSpec) -> String {
-        let Point { placement, seed, .. } = trial.point;
+        let SweepPoint { placement, seed, .. } = trial.point;
         let text = format!("{} {placement} {seed} {:?}", self.0, trial.sensor_units);
         digest_of_text(&text)
     }

@@ -2,7 +2,7 @@
 
 use metasense_kernels::Pool;
 use metasense_kernels::brain::linear::{
-    Fit, Lags, Linear, Normal, Order, Singular, Sizes, factor, matrix_mut,
+    FactoredEquations, Lags, Linear, Normal, Order, Singular, Sizes, factor, matrix_mut,
 };
 use metasense_kernels::random::{Purpose, Stream};
 use std::ops::Range;
@@ -102,7 +102,7 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
         let (set, lags) = (set(sizes, 1), Lags { before, after });
         for groups in [lags.groups(), lags.training_groups(MANY)] {
             let normal = normal_of(&set, lags, groups.clone());
-            let linear = Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
+            let linear = FactoredEquations::new(normal, ridge, Order::Ascending).unwrap().linear();
             let least = objective(&set, &linear, ridge);
             let rises = |change: &dyn Fn(&mut Linear, f64)| {
                 for step in [1e-4, -1e-4] {
@@ -155,8 +155,8 @@ fn one_factor_serves_every_shorter_memory() {
         (LONG, Order::Outward, 12, 12),
     ] {
         let (set, lags) = (set(sizes, 2), Lags { before, after });
-        let alone = Fit::new(normal(&set, lags), ridge, Order::Ascending).unwrap().linear();
-        let whole = Fit::new(normal(&set, Lags::whole(sizes.instants)), ridge, order).unwrap();
+        let alone = FactoredEquations::new(normal(&set, lags), ridge, Order::Ascending).unwrap().linear();
+        let whole = FactoredEquations::new(normal(&set, Lags::whole(sizes.instants)), ridge, order).unwrap();
         close(&whole.with_memory(lags), &alone);
     }
     let all = set(SIZES, 2);
@@ -168,7 +168,7 @@ fn one_factor_serves_every_shorter_memory() {
         w: all.w[own].to_vec(),
     });
     let lags = Lags { before: 2, after: 1 };
-    let fit = |normal| Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
+    let fit = |normal| FactoredEquations::new(normal, ridge, Order::Ascending).unwrap().linear();
     let [all, part, rest] = [all, part, rest].map(|set| normal(&set, lags));
     close(&fit(all.plus(-1.0, &part)), &fit(rest));
 }
@@ -178,8 +178,9 @@ fn one_factor_serves_every_shorter_memory() {
 fn predictions_and_pull_backs_are_transposes() {
     for (sizes, before, after) in MEMORIES {
         let (set, other) = (set(sizes, 3), set(sizes, 4));
-        let mut linear =
-            Fit::new(normal(&set, Lags { before, after }), 0.1, Order::Ascending).unwrap().linear();
+        let mut linear = FactoredEquations::new(normal(&set, Lags { before, after }), 0.1, Order::Ascending)
+            .unwrap()
+            .linear();
         linear.b.fill(0.0);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let left = dot(&other.f, &linear.predict(&set.x));
@@ -203,7 +204,7 @@ fn the_sensitivity_solves_the_second_derivative() {
         (LONG, Order::Outward, 42, 49),
     ] {
         let (set, other, lags) = (set(sizes, 5), set(sizes, 6), Lags { before, after });
-        let fit = Fit::new(normal(&set, lags), ridge, order).unwrap();
+        let fit = FactoredEquations::new(normal(&set, lags), ridge, order).unwrap();
         let linear = fit.linear();
         let force = linear.weights_vjp(&other.x, &other.f);
         let z = fit.sensitivity(&force);
@@ -240,7 +241,7 @@ fn a_singular_matrix_is_named() {
     let mut set = set(SIZES, 7);
     set.x.chunks_exact_mut(3).for_each(|row| row[2] = row[1]);
     let lags = Lags { before: 1, after: 1 };
-    let fit = |ridge| Fit::new(normal(&set, lags), ridge, Order::Ascending);
+    let fit = |ridge| FactoredEquations::new(normal(&set, lags), ridge, Order::Ascending);
     assert_eq!(fit(0.0).err(), Some(Singular));
     assert!(fit(1e-6).is_ok());
 }
@@ -292,7 +293,7 @@ fn a_brain_is_the_same_on_any_number_of_threads() {
     let fitted = |threads: usize| {
         let (lags, pool) = (Lags::whole(sizes.instants), Pool::new(threads).unwrap());
         let normal = Normal::new(sizes, [&set.x, &set.f, &set.w], lags, lags.groups(), &pool);
-        Fit::new(normal, 1e-3, Order::Outward).unwrap().linear()
+        FactoredEquations::new(normal, 1e-3, Order::Outward).unwrap().linear()
     };
     let alone = fitted(1);
     assert!(alone.w.len() / sizes.outputs > 128);

@@ -2,10 +2,11 @@
 
 use metasense_kernels::Pool;
 use metasense_kernels::body::Layout;
-use metasense_kernels::brain::linear::{Fit, Lags, Normal, Order, Sizes};
+use metasense_kernels::brain::linear::{FactoredEquations, Lags, Normal, Order, Sizes};
 use metasense_kernels::brain::{Adam, Architecture, Data, Shape, Workspace, train};
 use metasense_kernels::dynamics::{
-    Accuracy, Forces, Method, Panel, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
+    Accuracy, Forces, Integrator, IntegratorSettings, LigamentStiffness, Panel, Scene, Tolerance, Wrt,
+    simulate,
 };
 
 /// Runs `work` and returns its result and the number of heartbeats.
@@ -24,7 +25,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let layout = Layout::planar(3, 3, 15.0, 2.25);
     let scene = Scene {
         density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        stiffness: LigamentStiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         damping_ratio: 0.02,
         clamped: vec![0, 1, 2],
         panels: vec![Panel::central(7, [0.0, -1.0])],
@@ -39,10 +40,10 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let values = (0..samples * (instants + 1)).map(push).collect();
     let forces = Forces { samples, panels: 1, instants, values, strikes: Vec::new() };
     let mut signals = Vec::new();
-    for method in [Method::Tsit5, Method::Nystrom4] {
+    for method in [Integrator::Tsit5, Integrator::Nystrom4] {
         let solver = match method {
-            Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-4)),
-            method => Solver::new(method, Accuracy(1e-4)),
+            Integrator::Tsit5 => IntegratorSettings::tsit5(Tolerance::both(1e-4)),
+            method => IntegratorSettings::new(method, Accuracy(1e-4)),
         };
         let (simulation, forwards) =
             beats(&pool, || simulate(&scene, &design, &forces, &solver, true, &pool));
@@ -70,6 +71,6 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let (lags, weights) = (Lags::whole(instants), vec![1.0; samples]);
     let (normal, summed) =
         beats(&pool, || Normal::new(sizes, [&signals, &y, &weights], lags, lags.groups(), &pool));
-    let (fit, factored) = beats(&pool, || Fit::new(normal, 1e-3, Order::Ascending));
+    let (fit, factored) = beats(&pool, || FactoredEquations::new(normal, 1e-3, Order::Ascending));
     assert!(fit.is_ok() && summed > 0 && factored > 0, "{summed}, {factored}");
 }

@@ -5,7 +5,8 @@ mod common;
 use common::{norm, pool, relative, scene};
 use metasense_kernels::body::{End, FollowRule, Follower, Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Panel, Plan, PrescribedMotion, Scene, Tangent, Wrt, run,
+    AccelerationFrame, EdgeContact, Forces, IntegrationPlan, Integrator, Panel, PrescribedMotion, Scene,
+    Tangent, Wrt, run,
 };
 
 /// Four polygons: a triangle, a hexagon (rigid or not), a square above the first triangle, and a triangle above the hexagon.
@@ -73,7 +74,8 @@ fn struck(layout: Layout) -> (Scene, Forces) {
         Panel { node: Some(1), moment: 0.5, ..Panel::central(last, [0.6, -0.8]) },
         Panel { moves: Some(PrescribedMotion::Base(1e-4)), ..Panel::central(clamped[0], [0.8, 0.6]) },
     ];
-    let scene = Scene { clamped, panels, sensors: vec![free, last], frame: Frame::Body, layout, ..base };
+    let scene =
+        Scene { clamped, panels, sensors: vec![free, last], frame: AccelerationFrame::Body, layout, ..base };
     let values = (0..6 * 21).map(|i| 0.3 * (0.15 * f64::from(i % 21) + f64::from(i / 21)).sin().powi(2));
     (scene, Forces { samples: 3, panels: 2, instants: 20, values: values.collect(), strikes: Vec::new() })
 }
@@ -242,7 +244,7 @@ fn squares_from_corners_are_the_planar_body() {
     for (ours, theirs) in &groups {
         same[2 * theirs..][..2].copy_from_slice(&design[2 * ours..][..2]);
     }
-    let plan = Plan::equal(Method::Nystrom6, 24);
+    let plan = IntegrationPlan::equal(Integrator::Nystrom6, 24);
     let of = |layout: &Layout, design: &[f64]| {
         let (scene, forces) = struck(layout.clone());
         let simulation = run(&scene, design, &forces, &plan, true, &pool(1));
@@ -262,7 +264,7 @@ fn squares_from_corners_are_the_planar_body() {
 /// units of different densities. The forward derivative is adjoint to the gradient.
 #[test]
 fn gradients_in_the_design_are_those_of_differences() {
-    let touching = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let touching = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     for (name, layout) in bodies() {
         for (contact, masses) in [(None, false), (touching, false), (None, true)] {
             let (scene, forces) = struck(layout.clone());
@@ -272,7 +274,7 @@ fn gradients_in_the_design_are_those_of_differences() {
                 scene.layout.density[1] = 3.0;
             }
             let design = shaken(&scene.layout, 0.3);
-            let plan = Plan::equal(Method::Nystrom6, 60);
+            let plan = IntegrationPlan::equal(Integrator::Nystrom6, 60);
             let at = |design: &[f64]| run(&scene, design, &forces, &plan, true, &pool(1));
             let here = at(&design);
             let size = norm(&here.signals).powi(2);

@@ -4,7 +4,8 @@ mod common;
 
 use common::{pool, relative, scene};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Method, Outcome, Panel, Plan, Relaxation, Scene, Stiffness, run,
+    EdgeContact, Forces, IntegrationPlan, Integrator, LigamentStiffness, MaxwellBranch, Outcome, Panel,
+    Scene, run,
 };
 use std::f64::consts::TAU;
 
@@ -20,13 +21,14 @@ fn pulses(scene: &Scene, samples: usize) -> Forces {
 fn signals(scene: &Scene, forces: &Forces, steps: usize) -> Vec<f64> {
     let mut design = scene.layout.initial_design(0.4363);
     design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
-    let found = run(scene, &design, forces, &Plan::equal(Method::Nystrom6, steps), false, &pool(2));
+    let found =
+        run(scene, &design, forces, &IntegrationPlan::equal(Integrator::Nystrom6, steps), false, &pool(2));
     assert!(found.outcomes.iter().all(|o| *o == Outcome::Ok), "{:?}", found.outcomes);
     found.signals
 }
 
 fn relaxing(scene: &Scene, share: f64, time: f64) -> Scene {
-    Scene { relaxation: Some(Relaxation { share, time }), ..scene.clone() }
+    Scene { relaxation: Some(MaxwellBranch { share, time }), ..scene.clone() }
 }
 
 /// A unit on one ligament under F sin ωt: F/x = k(1 + g iωτ/(1 + iωτ)) − mω² + iωc. The loss (Im(F/x) − ωc)/k is gωτ/(1 + ω²τ²), and
@@ -52,7 +54,7 @@ fn losses_are_those_of_a_maxwell_branch() {
             let values = (0..=scene.instants).map(|n| small * at(n).sin()).collect();
             let forces = Forces { values, ..pulses(&scene, 1) };
             let design = vec![0.0; scene.layout.design_len()];
-            let plan = Plan::equal(Method::Nystrom6, 1);
+            let plan = IntegrationPlan::equal(Integrator::Nystrom6, 1);
             let found = run(&scene, &design, &forces, &plan, false, &pool(1));
             // fits a_y = −ω² x over the second half of the cycles: x = p sin + q cos
             let (mut p, mut q, from) = (0.0, 0.0, scene.instants / 2);
@@ -85,15 +87,16 @@ fn losses_are_those_of_a_maxwell_branch() {
 /// with contact and linear strains too. C is constant, because it depends only on the ligaments' stiffness.
 #[test]
 fn slow_and_quick_branches_are_springs() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = scene(3, 3, 20);
     for scene in [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }] {
         let forces = pulses(&scene, 11);
         let share: f64 = 0.44;
-        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let LigamentStiffness { stretch, shear, bend } = scene.stiffness;
         let [stretch, shear, bend] = [stretch, shear, bend].map(|k| (1.0 + share) * k);
         let damping_ratio = scene.damping_ratio / (1.0 + share).sqrt();
-        let stiff = Scene { stiffness: Stiffness { stretch, shear, bend }, damping_ratio, ..scene.clone() };
+        let stiff =
+            Scene { stiffness: LigamentStiffness { stretch, shear, bend }, damping_ratio, ..scene.clone() };
         let (plain, stiff) = (signals(&scene, &forces, 60), signals(&stiff, &forces, 60));
         let off = [(0.0, 0.01, &plain), (share, 1e6, &stiff), (share, 1e-6, &plain), (share, 5e-7, &plain)]
             .map(|(share, time, truth)| {

@@ -1,9 +1,9 @@
 //! Bounds on the error of a body's decoders: of the best linear decoder around each motion, and of any decoder.
 
 use metasense_numerics::place::placed;
-use metasense_numerics::trial::{Disturbance, Size};
+use metasense_numerics::trial::{ChipErrors, Size};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::prepare::simulable;
 use crate::questions;
@@ -20,17 +20,17 @@ pub fn bound(
     samples: usize,
     noise: Option<f64>,
     threads: usize,
-) -> Result<Bound, Failure> {
+) -> Result<Bound, NoResult> {
     let mut problem = simulable(trial, design)?;
     if let Some(part) = noise {
-        let chips = problem.disturbance.unwrap_or(Disturbance::NONE);
-        problem.disturbance = Some(Disturbance { noise: Size::Relative(part), ..chips });
+        let chips = problem.disturbance.unwrap_or(ChipErrors::NONE);
+        problem.disturbance = Some(ChipErrors { noise: Size::Relative(part), ..chips });
     }
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     questions::bound(&problem, design, samples, &pool)?.ok_or_else(|| {
         let why = "sensors.noise: must be large enough in every channel for the bound; pass --noise";
-        Failure::Rejected(why.to_owned())
+        NoResult::Rejected(why.to_owned())
     })
 }
 

@@ -3,9 +3,9 @@
 use metasense_numerics::dynamics::{Forces, Scene};
 use metasense_numerics::place::placed;
 use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::trial::{Trial, check_outcomes, simulated};
+use metasense_numerics::trial::{PreparedTrial, check_outcomes, simulated};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::modes::natural_frequencies;
 use crate::prepare::{prepared, simulable};
@@ -25,7 +25,7 @@ const VARIABLES_MAX: usize = DRIVES * (HOLDS - WASHOUT) / 10;
 ///
 /// # Errors
 /// If the spec is invalid, or the body has no modes.
-pub fn hold(trial: &TrialSpec) -> Result<usize, Failure> {
+pub fn hold(trial: &TrialSpec) -> Result<usize, NoResult> {
     let (first, scene) = (natural_frequencies(trial)?.first, prepared(trial)?.scene);
     let instants = scene.instants as f64 / (4.0 * first * scene.duration);
     Ok((instants.round() as usize).clamp(1, 50))
@@ -41,10 +41,10 @@ pub fn capacity(
     design: &[f64],
     hold: usize,
     threads: usize,
-) -> Result<Vec<Measure>, Failure> {
+) -> Result<Vec<Measure>, NoResult> {
     let pool = pool(threads)?;
     let (problem, _) = placed(&simulable(trial, design)?, &pool)?;
-    let trial = Trial::new(&problem, &pool)?;
+    let trial = PreparedTrial::new(&problem, &pool)?;
     let (problem, channels) = (&trial.problem, trial.scales.channels.len());
     let largest = trial.train.values.iter().fold(0.0f64, |most, f| most.max(f.abs()));
     let (inputs, forces) = drives(problem.seed, largest, problem.scene.panels.len(), hold);
@@ -53,7 +53,7 @@ pub fn capacity(
     let motion = simulated(problem, &scene, design, &forces, &trial.tuned(design).solver, false, &pool);
     check_outcomes(&motion.outcomes).map_err(|why| {
         let why = why.name();
-        Failure::Rejected(format!(
+        NoResult::Rejected(format!(
             "stimuli: random forces of ±{largest:.3} N cannot be simulated ({why}); reduce the largest forces"
         ))
     })?;

@@ -2,11 +2,11 @@
 
 use metasense_numerics::nested::evaluate_linear_on_casts;
 use metasense_numerics::place::placed;
-use metasense_numerics::trial::Trial;
-use metasense_schemas::record::CastReading;
+use metasense_numerics::trial::PreparedTrial;
+use metasense_schemas::record::CastRecord;
 use metasense_schemas::spec::{TrialSpec, Variation};
 use metasense_worker::convert::cast_readings;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::prepare::simulable;
 
@@ -26,14 +26,19 @@ pub fn casts(
     variation: Option<Variation>,
     threads: usize,
     progress: &mut dyn FnMut(usize),
-) -> Result<Vec<CastReading>, Failure> {
+) -> Result<Vec<CastRecord>, NoResult> {
     let mut trial = trial.clone();
     trial.variation = variation.or(trial.variation).and_then(Variation::resolved);
     trial.evaluation.casts = Some(count);
     if trial.variation.is_none() {
-        return Err(Failure::Rejected(format!("it has {NO_VARIATION}; pass --variation FILE")));
+        return Err(NoResult::Rejected(format!("it has {NO_VARIATION}; pass --variation FILE")));
     }
     let (designed, pool) = (simulable(&trial, design)?, pool(threads)?);
     let (problem, _) = placed(&designed, &pool)?;
-    Ok(cast_readings(&evaluate_linear_on_casts(&Trial::new(&problem, &pool)?, design, count, progress)))
+    Ok(cast_readings(&evaluate_linear_on_casts(
+        &PreparedTrial::new(&problem, &pool)?,
+        design,
+        count,
+        progress,
+    )))
 }

@@ -1,19 +1,19 @@
 //! Checks measured records before any fit for faults of instruments, units, axes, clocks and panels. Each fault has a remedy.
 
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 pub use crate::measured::read_raw as read;
 use crate::measured::{Described, Raw};
 use crate::modes::{Mode, slowest};
 use crate::prepare::{check_design, placed};
 use crate::questions::check::{
-    Explanation, History, Instruments, Model, Record, Spectra, clipped, compare, spectra,
+    CheckedRecord, ComparisonModel, Explanation, History, Instruments, Spectra, clipped, compare, spectra,
 };
 
 mod findings;
 
-pub use findings::{Finding, Level};
+pub use findings::{Finding, Severity};
 
 /// Result of a check of measured records.
 #[derive(Debug, Clone)]
@@ -40,7 +40,7 @@ pub struct Looked {
     /// File, and number within the file.
     pub place: String,
     /// Forces (N) and signals (mm/s², rad/s).
-    pub record: Record,
+    pub record: CheckedRecord,
     /// Properties measured from the record alone, without the model.
     pub instruments: Instruments,
     /// Largest deviation of a time step from the mean step of its clock, relative to the mean step.
@@ -63,19 +63,19 @@ pub fn check(
     design: &[f64],
     described: &Described,
     threads: usize,
-) -> Result<Checked, Failure> {
+) -> Result<Checked, NoResult> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
     let records = looked(described);
     let interval = trial.time.duration / (FASTEST * trial.time.samples as f64);
-    let thinned = |Looked { record, .. }: &Looked| Record {
+    let thinned = |Looked { record, .. }: &Looked| CheckedRecord {
         signals: record.signals.thinned(interval),
         ..record.clone()
     };
-    let all: Vec<Record> = records.iter().map(thinned).collect();
+    let all: Vec<CheckedRecord> = records.iter().map(thinned).collect();
     let read: Vec<usize> = trial.sensors.read().iter().map(|channel| *channel as usize).collect();
-    let model = Model {
+    let model = ComparisonModel {
         scene: &problem.scene,
         design,
         solver: problem.solver,
@@ -129,7 +129,8 @@ fn looked(described: &Described) -> Vec<Looked> {
     };
     let ends = [ends(0), ends(1)];
     let look = |(i, (number, raw)): (usize, &(usize, &Raw))| {
-        let record = Record { force: history(&raw.force), panel: raw.panel, signals: history(&raw.signal) };
+        let record =
+            CheckedRecord { force: history(&raw.force), panel: raw.panel, signals: history(&raw.signal) };
         Looked {
             number: *number,
             place: raw.place.clone(),

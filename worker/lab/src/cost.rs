@@ -4,7 +4,7 @@
 
 use std::collections::HashSet;
 
-use metasense_schemas::record::{Parts, Trial};
+use metasense_schemas::record::{Parts, PlannedTrial};
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
 use metasense_worker::evaluated_fraction;
 use metasense_worker::pace::Pace;
@@ -99,13 +99,13 @@ pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
 const MOST_WEIGHT: f64 = 1e12;
 
 /// Seconds of trials on one core if each body is trained once.
-pub fn total<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> f64 {
+pub fn total<'a>(trials: impl IntoIterator<Item = &'a PlannedTrial>) -> f64 {
     let mut trained = HashSet::new();
     trials.into_iter().map(|trial| trial.cost.sum(trained.insert(&trial.training))).sum()
 }
 
 /// Marks the first trial of each body as the one that trains it.
-pub fn first_trains(trials: &mut [Trial]) {
+pub fn first_trains(trials: &mut [PlannedTrial]) {
     let mut trained = HashSet::new();
     for trial in trials {
         trial.trains = trained.insert(&trial.training);
@@ -201,7 +201,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
 }
 
 /// Seconds of trials on some workers with some threads each: the work divided evenly, but at least that of the longest trial.
-pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
+pub fn seconds_on(trials: &[&PlannedTrial], workers: u32, threads: u32) -> f64 {
     let longest = trials.iter().map(|trial| trial.cost.sum(true)).fold(0.0, f64::max);
     (total(trials.iter().copied()) / f64::from(workers.max(1))).max(longest) / f64::from(threads.max(1))
 }

@@ -5,12 +5,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use metasense_numerics::brains::{HeldOutEstimates, Recipe, records};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli;
-use metasense_numerics::trial::Trial;
+use metasense_numerics::trial::PreparedTrial;
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 use metasense_worker::clock::cpu_seconds;
 use metasense_worker::convert::finite;
 use metasense_worker::problem::{self, solvable};
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 use serde::{Deserialize, Serialize};
 
 use crate::inverse::{Posterior, with_brain};
@@ -55,7 +55,7 @@ pub struct Evaluated {
 
 /// Estimates and errors of the network of one fold; from the inverse decoder, only the posterior of one batch of records.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Network {
+pub struct FoldEstimates {
     /// Estimated forces (n, T, K) (N) of the fold's n records; first seed only.
     predictions: Vec<f64>,
     errors: Vec<Option<f64>>,
@@ -65,7 +65,7 @@ pub struct Network {
     posterior: Option<Posterior>,
 }
 
-impl Network {
+impl FoldEstimates {
     fn new(found: HeldOutEstimates, first: bool) -> Self {
         let HeldOutEstimates { predictions, errors, error_train, progress, trouble, .. } = found;
         let outcome = trouble.map_or("ok", |trouble| trouble.name()).to_owned();
@@ -83,9 +83,9 @@ impl Network {
 /// Store of finished networks, by number.
 pub trait NetworkStore: Sync {
     /// The stored network of this number.
-    fn network(&self, number: usize) -> Option<Network>;
+    fn network(&self, number: usize) -> Option<FoldEstimates>;
     /// Stores a finished network.
-    fn store_network(&self, number: usize, network: &Network);
+    fn store_network(&self, number: usize, network: &FoldEstimates);
 }
 
 /// Cross-validates `effort.seeds` networks per fold on measured or simulated signals, on `threads` threads. Networks in `kept`
@@ -102,16 +102,16 @@ pub fn evaluate(
     effort: Effort,
     threads: usize,
     kept: &dyn NetworkStore,
-) -> Result<Evaluated, Failure> {
+) -> Result<Evaluated, NoResult> {
     let problem = any_body(trial)?;
     let Effort { folds, seeds, iterations, brain } = effort;
     if brain != BrainKind::Cnn {
-        solvable(trial, problem.decoder.lags).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+        solvable(trial, problem.decoder.lags).map_err(|invalid| NoResult::Rejected(invalid.to_string()))?;
     }
     let Measured { forces, signals, low_pass, .. } = measured;
     let samples = forces.samples;
     if !(2..=samples).contains(&folds) {
-        return Err(Failure::Rejected(format!(
+        return Err(NoResult::Rejected(format!(
             "--folds {folds}: must lie between 2 and {samples}, the number of records"
         )));
     }
@@ -121,7 +121,7 @@ pub fn evaluate(
 
     // One network per thread: a few records cannot use more threads.
     let next = AtomicUsize::new(0);
-    let work = || -> Result<Vec<(usize, Network)>, Failure> {
+    let work = || -> Result<Vec<(usize, FoldEstimates)>, NoResult> {
         let (pool, mut found) = (pool(1)?, Vec::new());
         loop {
             let number = next.fetch_add(1, Ordering::Relaxed);
@@ -136,7 +136,7 @@ pub fn evaluate(
             let (unseen, known): (Vec<usize>, Vec<usize>) = (0..samples).partition(|&i| dealt[i] == fold);
             let [unseen, known] = [unseen, known].map(|numbers| records.select(&numbers));
             let estimates = HeldOutEstimates::of(&known, &unseen, recipe, seed, iterations, &pool);
-            let network = Network::new(estimates, number < folds);
+            let network = FoldEstimates::new(estimates, number < folds);
             kept.store_network(number, &network);
             found.push((number, network));
         }
@@ -148,7 +148,8 @@ pub fn evaluate(
     })?;
     networks.sort_by_key(|(number, _)| *number);
     let mut networks = networks.into_iter().map(|(_, network)| network);
-    let by_seed: Vec<Vec<Network>> = (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
+    let by_seed: Vec<Vec<FoldEstimates>> =
+        (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
     let members = stimuli::members(&dealt);
     let size = records.targets.len() / samples;
     let mut predictions = vec![0.0; records.targets.len()];
@@ -157,7 +158,7 @@ pub fn evaluate(
             predictions[record * size..][..size].copy_from_slice(predicted);
         }
     }
-    let errors_of = |networks: &Vec<Network>| {
+    let errors_of = |networks: &Vec<FoldEstimates>| {
         let mut errors = vec![None; samples];
         for (network, records) in networks.iter().zip(&members) {
             records.iter().zip(&network.errors).for_each(|(record, error)| errors[*record] = finite(*error));
@@ -176,7 +177,7 @@ pub fn evaluate(
     })
 }
 
-fn map_networks<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>> {
+fn map_networks<T>(by_seed: &[Vec<FoldEstimates>], what: impl Fn(&FoldEstimates) -> T) -> Vec<Vec<T>> {
     by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
 }
 
@@ -199,13 +200,14 @@ pub fn estimate_by_inverse(
     measured: &Measured,
     threads: usize,
     kept: &dyn NetworkStore,
-) -> Result<Evaluated, Failure> {
+) -> Result<Evaluated, NoResult> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     let Measured { forces, signals, low_pass, .. } = measured;
     let records = records(forces, signals.clone(), problem.scene.instants, *low_pass);
     let one = signals.len() / forces.samples;
-    let mut found: Vec<Option<Network>> = (0..parts(forces.samples)).map(|part| kept.network(part)).collect();
+    let mut found: Vec<Option<FoldEstimates>> =
+        (0..parts(forces.samples)).map(|part| kept.network(part)).collect();
     if found.contains(&None) {
         with_brain(&problem, own, &pool, |brain| {
             let parts = signals.chunks(TOGETHER * one).zip(&mut found).enumerate();
@@ -213,7 +215,7 @@ pub fn estimate_by_inverse(
                 let begun = cpu_seconds();
                 let mut posterior = Posterior::of(&brain.read(signals));
                 posterior.seconds = cpu_seconds() - begun;
-                let part = Network { posterior: Some(posterior), ..Network::default() };
+                let part = FoldEstimates { posterior: Some(posterior), ..FoldEstimates::default() };
                 kept.store_network(number, &part);
                 *found = Some(part);
             }
@@ -247,12 +249,12 @@ pub fn evaluate_by_twin(
     folds: &[usize],
     threads: usize,
     kept: &dyn NetworkStore,
-) -> Result<(Vec<f64>, Evaluated), Failure> {
+) -> Result<(Vec<f64>, Evaluated), NoResult> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
     let Measured { forces, signals, low_pass, .. } = measured;
-    let (ready, cast) = (Trial::new(&problem, &pool)?, Some(&twin.cast));
+    let (ready, cast) = (PreparedTrial::new(&problem, &pool)?, Some(&twin.cast));
     let sensed = ready.samples(design, cast, forces.clone())?.signals;
     if effort.brain == BrainKind::Inverse {
         return Ok((sensed, estimate_by_inverse(trial, (design, Some(twin)), measured, threads, kept)?));
@@ -262,7 +264,8 @@ pub fn evaluate_by_twin(
     let records = records(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };
     let of = |number| HeldOutEstimates::of(&known, &records, recipe, number as u64, effort.iterations, &pool);
-    let found: Vec<Network> = (0..effort.seeds).map(|number| Network::new(of(number), number == 0)).collect();
+    let found: Vec<FoldEstimates> =
+        (0..effort.seeds).map(|number| FoldEstimates::new(of(number), number == 0)).collect();
     let evaluated = Evaluated {
         errors: found.iter().map(|network| network.errors.iter().map(|e| finite(*e)).collect()).collect(),
         errors_train: found.iter().map(|network| vec![network.error_train]).collect(),
@@ -285,7 +288,7 @@ pub fn simulated(
     design: &[f64],
     forces: &Forces,
     threads: usize,
-) -> Result<Vec<f64>, Failure> {
+) -> Result<Vec<f64>, NoResult> {
     let pool = pool(threads)?;
     let problem = match trial.body.kind.is_polygons() {
         true => placed(trial, &pool)?,
@@ -294,7 +297,7 @@ pub fn simulated(
     check_design(&problem, design)?;
     let signals = questions::sense(&problem, design, forces, &pool);
     match problem.body.failure() {
-        Some(fault) => Err(Failure::of_body(fault)),
+        Some(fault) => Err(NoResult::of_body(fault)),
         None => Ok(signals?),
     }
 }

@@ -2,10 +2,10 @@
 
 pub use metasense_numerics::dynamics::Parameters;
 pub use metasense_numerics::identify::{
-    BOX, Ending, Estimate, Fit, Iteration, Offset, Parameter, Turn, UNEXPLAINED, Unknown,
+    BOX, Ending, Estimate, Fit, FitIteration, Iteration, Offset, Parameter, UNEXPLAINED, Unknown,
 };
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::measured::Measured;
 use crate::prepare::{check_design, placed};
@@ -23,9 +23,9 @@ pub fn identify(
     measured: &Measured,
     free: &[Parameter],
     threads: usize,
-    known: &[Turn],
-    watch: &mut dyn FnMut(&Turn),
-) -> Result<Fit, Failure> {
+    known: &[FitIteration],
+    watch: &mut dyn FnMut(&FitIteration),
+) -> Result<Fit, NoResult> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
@@ -43,7 +43,7 @@ pub fn identify(
                 Parameter::Density => "body.density",
                 Parameter::Contact => "body.contact.stiffness",
             };
-            return Err(Failure::Rejected(format!(
+            return Err(NoResult::Rejected(format!(
                 "{key} = {value}: a fit must start above 0; set a value, or leave {:?} out of --fit",
                 parameter.name()
             )));

@@ -1,9 +1,9 @@
 //! The inverse decoder of a design, or of the twin of a cast.
 
 use metasense_numerics::brains::{Estimate, Inverse, Z_95};
-use metasense_numerics::trial::{Problem, Trial};
+use metasense_numerics::trial::{PreparedTrial, Problem};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, Pool, pool};
+use metasense_worker::run::{NoResult, Pool, pool};
 use serde::{Deserialize, Serialize};
 
 use crate::identify::Ending;
@@ -72,9 +72,9 @@ pub fn with_brain<T>(
     (design, twin): (&[f64], Option<&Twin>),
     pool: &Pool,
     read: impl FnOnce(&mut Inverse) -> T,
-) -> Result<T, Failure> {
+) -> Result<T, NoResult> {
     check_design(problem, design)?;
-    let trial = Trial::new(problem, pool)?;
+    let trial = PreparedTrial::new(problem, pool)?;
     Ok(read(&mut Inverse::of(&trial, design, twin)?))
 }
 
@@ -86,13 +86,13 @@ pub fn holdout(
     trial: &TrialSpec,
     (design, twin): (&[f64], Option<&Twin>),
     threads: usize,
-) -> Result<Measured, Failure> {
+) -> Result<Measured, NoResult> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
     let forces = problem.holdout();
     let twin = twin.map(|twin| &twin.cast);
-    let samples = Trial::new(&problem, &pool)?.samples(design, twin, forces.clone())?;
+    let samples = PreparedTrial::new(&problem, &pool)?.samples(design, twin, forces.clone())?;
     let ended: Vec<usize> = (0..samples.count()).filter(|&i| !samples.failed[i]).collect();
     Ok(Measured::of(forces.select(&ended), samples.select(&ended).signals, problem.low_pass()))
 }

@@ -18,7 +18,7 @@ use metasense_worker::records::{self, Pick, Record, fingerprint};
 
 mod keys;
 
-pub use keys::{AccelerationUnit, AngularVelocityUnit, Start};
+pub use keys::{AccelerationUnit, AngularVelocityUnit, SignalStart};
 
 /// Returns the JSON schema of a file of measured records.
 pub fn measured_schema() -> serde_json::Value {
@@ -160,7 +160,7 @@ fn raw(
     };
     let form = Form::of_forces(recorded, "recorded", read);
     let starts = match &signals.start {
-        Some(Start::Each(starts)) => Some(starts.len()),
+        Some(SignalStart::Each(starts)) => Some(starts.len()),
         _ => None,
     };
     let entries = [starts, recorded.panels.as_ref().map(Vec::len)];
@@ -257,7 +257,7 @@ fn measured(spec: &keys::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     let mut values = Vec::with_capacity(forces.len() * panels * (own + 1));
     for (n, record) in forces.iter().enumerate() {
         let struck = recorded.panels.as_ref().map(|struck| struck[n]);
-        let clock: records::Clock =
+        let clock: records::Resampler =
             if is_smooth(record) { smoothly } else { records::clock(recorded.resample) };
         for panel in 0..panels {
             let history = match struck {
@@ -340,7 +340,7 @@ fn check_counts(
             Ok(())
         };
     };
-    if let (Some(Start::Each(given)), Some(count)) = (&signals.start, count)
+    if let (Some(SignalStart::Each(given)), Some(count)) = (&signals.start, count)
         && given.len() != count
     {
         let remedy = format!("must be one number, or one for each of the {count} records");
@@ -419,7 +419,7 @@ fn check(
     let files = signals.files.as_deref().unwrap_or_default();
     records::check_form("signals", files, signals.header, signals.separator, signals.decimal)?;
     let starts = match &signals.start {
-        Some(Start::Each(starts)) => starts,
+        Some(SignalStart::Each(starts)) => starts,
         start => &start.iter().map(|start| start.time_of(0)).collect(),
     };
     if let Some(start) = starts.iter().find(|start| !start.is_finite()) {

@@ -4,26 +4,26 @@ use metasense_numerics::dynamics::{Rest, Scene, highest_frequency, start, touche
 use metasense_numerics::place::placed;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::prepare::{prepared, with_design};
 use crate::questions::modes::{self, NoModes};
-pub use crate::questions::modes::{Mode, Response};
+pub use crate::questions::modes::{FrequencyResponse, Mode};
 
 /// The `count` slowest modes of a body, or all if it has fewer.
 ///
 /// # Errors
 /// If the spec is invalid, the design has the wrong length, or the body has no modes.
-pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
+pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, NoResult> {
     let problem = weighed(trial, design)?;
     let scene = &problem.scene;
     check_rest(scene, design)?;
     modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|none| match none {
-        NoModes::Loose => Failure::Rejected(
+        NoModes::Loose => NoResult::Rejected(
             "body: some motion has neither stiffness nor damping; hold a unit with body.clamp, or set body.damping_ratio above 0"
                 .to_owned(),
         ),
-        NoModes::NotFinite => Failure::Rejected(
+        NoModes::NotFinite => NoResult::Rejected(
             "body: its modes are not finite; check body.density, body.stiffness and body.damping_ratio".to_owned(),
         ),
     })
@@ -43,10 +43,10 @@ pub struct Natural {
 ///
 /// # Errors
 /// If the spec is invalid, or the body has no such modes.
-pub fn natural_frequencies(trial: &TrialSpec) -> Result<Natural, Failure> {
+pub fn natural_frequencies(trial: &TrialSpec) -> Result<Natural, NoResult> {
     let Problem { scene, initial, .. } = &prepared(trial)?;
     check_rest(scene, initial)?;
-    let none = || Failure::Rejected("body: has no modes".to_owned());
+    let none = || NoResult::Rejected("body: has no modes".to_owned());
     let modes =
         modes::modes(&Rest::new(scene, initial), scene.layout.units(), SLOWEST).map_err(|_| none())?;
     let highest = highest_frequency(scene, initial) / std::f64::consts::TAU;
@@ -68,7 +68,7 @@ pub fn responses(
     design: &[f64],
     unit: usize,
     frequencies: &[f64],
-) -> Result<Vec<Vec<Response>>, Failure> {
+) -> Result<Vec<Vec<FrequencyResponse>>, NoResult> {
     let problem = weighed(trial, design)?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
     check_rest(scene, design)?;
@@ -78,14 +78,14 @@ pub fn responses(
         } else {
             "it is clamped".to_owned()
         };
-        return Err(Failure::Rejected(format!("unit {unit}: {why}")));
+        return Err(NoResult::Rejected(format!("unit {unit}: {why}")));
     }
     let found = modes::responses(scene, &Rest::new(scene, design), &[unit], frequencies);
     Ok(found.into_iter().map(|panels| panels.into_iter().flatten().collect()).collect())
 }
 
 /// The problem of a design. Runs the sensor search if the chips have mass.
-fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
+fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, NoResult> {
     let problem = with_design(trial, design)?;
     if problem.search.is_none() || problem.scene.chip.is_none() {
         return Ok(problem);
@@ -94,9 +94,9 @@ fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
 }
 
 /// Rejects scenes with driven units and bodies without equilibrium, which cannot be linearised.
-pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
+pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), NoResult> {
     if let Some(panel) = scene.panels.iter().find(|panel| panel.unit_acceleration().is_some()) {
-        return Err(Failure::Rejected(format!(
+        return Err(NoResult::Rejected(format!(
             "body.panels: unit {} is driven, and small motions are those of held units under forces: clamp it, and shake the base or \
              strike other units",
             panel.unit
@@ -104,11 +104,11 @@ pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
     }
     if touches(scene, design) {
         let why = "body.contact: parts of the body touch as it is cast, so it is not at rest and small motions are undefined";
-        return Err(Failure::Rejected(why.to_owned()));
+        return Err(NoResult::Rejected(why.to_owned()));
     }
     match start(scene, design) {
         Ok(_) => Ok(()),
-        Err(outcome) => Err(Failure::Rejected(format!(
+        Err(outcome) => Err(NoResult::Rejected(format!(
             "body.compression: {}: the compressed body has no equilibrium for small motions",
             outcome.name()
         ))),

@@ -3,10 +3,10 @@
 use metasense_numerics::place::Candidates;
 use metasense_numerics::trial::Placing;
 use metasense_schemas::reason::Cause;
-use metasense_schemas::record::Placed;
+use metasense_schemas::record::PlacedRecord;
 use metasense_schemas::spec::{self, TrialSpec};
 use metasense_worker::convert;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::prepare::simulable;
 
@@ -15,7 +15,7 @@ use crate::prepare::simulable;
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacementReport {
     /// Placements found.
-    pub placed: Vec<Placed>,
+    pub placed: Vec<PlacedRecord>,
     /// Each candidate together with the first `given` of the M units, and the error, best first.
     pub worth: Vec<(usize, f64)>,
     /// Errors of random placements per m: best, median, worst.
@@ -34,7 +34,7 @@ pub fn search_placements(
     design: &[f64],
     given: usize,
     threads: usize,
-) -> Result<PlacementReport, Failure> {
+) -> Result<PlacementReport, NoResult> {
     let mut trial = trial.clone();
     trial.sensor_units.clear();
     trial.sensors.search = Some(spec::Search::Greedy);
@@ -42,14 +42,14 @@ pub fn search_placements(
     let search = problem.search.as_ref().expect("asked for");
     let pool = pool(threads)?;
     let cause = Cause::NowhereToSense;
-    let to_failure = |_| Failure::Numerical { cause, detail: cause.name().to_owned() };
+    let to_failure = |_| NoResult::Numerical { cause, detail: cause.name().to_owned() };
     let all = Candidates::new(&problem, search, design, &pool)?;
     let best = all.clone().limit_candidates(&problem, &pool);
     let scores = best.scores(&problem, &pool);
     let of = |sensors| Placing { sensors, candidates: best.units.clone(), ..search.clone() };
     let placed: Vec<_> = (1..=search.sensors)
         .map(|m| scores.search(&of(m)).map_err(to_failure))
-        .collect::<Result<_, Failure>>()?;
+        .collect::<Result<_, NoResult>>()?;
 
     // Errors of the first m units of each random placement.
     let of_order = |p: u64| -> Option<Vec<f64>> {

@@ -2,28 +2,28 @@
 
 use metasense_numerics::nested;
 use metasense_numerics::place;
-use metasense_numerics::trial::{Problem, Trial};
-use metasense_schemas::record::BodyEvaluation;
+use metasense_numerics::trial::{PreparedTrial, Problem};
+use metasense_schemas::record::BodyRecord;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::problem::external::polygons;
 use metasense_worker::problem::problem;
-use metasense_worker::run::{Failure, Pool, pool};
+use metasense_worker::run::{NoResult, Pool, pool};
 use metasense_worker::{convert, design, memory};
 
 /// Converts a spec to a problem.
 ///
 /// # Errors
 /// If the spec is invalid.
-pub fn any_body(trial: &TrialSpec) -> Result<Problem, Failure> {
-    problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
+pub fn any_body(trial: &TrialSpec) -> Result<Problem, NoResult> {
+    problem(trial).map_err(|invalid| NoResult::Rejected(invalid.to_string()))
 }
 
 /// Converts a spec of a body of polygons to a problem.
 ///
 /// # Errors
 /// If the spec is invalid, or its body is an external one.
-pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
-    polygons(&trial.body).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+pub fn prepared(trial: &TrialSpec) -> Result<Problem, NoResult> {
+    polygons(&trial.body).map_err(|invalid| NoResult::Rejected(invalid.to_string()))?;
     any_body(trial)
 }
 
@@ -31,7 +31,7 @@ pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
 ///
 /// # Errors
 /// If the spec is invalid, or as [`check_design`].
-pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
+pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, NoResult> {
     let problem = prepared(trial)?;
     check_design(&problem, design)?;
     Ok(problem)
@@ -41,8 +41,9 @@ pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure
 ///
 /// # Errors
 /// If the length is wrong, a number is not finite, or a unit has no mass, as inverted units do unless masses are given.
-pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
-    design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
+pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), NoResult> {
+    design::check("the design", &[design.len()], design, problem.initial.len())
+        .map_err(NoResult::Rejected)?;
     if problem.scene.layout.units() == 0 {
         return Ok(()); // an external body
     }
@@ -53,7 +54,7 @@ pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     };
     match (0..problem.scene.layout.units()).find(|unit| !has_mass(unit)) {
         None => Ok(()),
-        Some(unit) => Err(Failure::Rejected(format!(
+        Some(unit) => Err(NoResult::Rejected(format!(
             "the design: unit {unit} has an area of {:.3} mm² and can be neither cast nor simulated; `metasense body project` repairs a design",
             geometry.area[unit]
         ))),
@@ -64,7 +65,7 @@ pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
 ///
 /// # Errors
 /// As [`with_design`], or if this machine lacks the memory.
-pub fn simulable(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
+pub fn simulable(trial: &TrialSpec, design: &[f64]) -> Result<Problem, NoResult> {
     check_memory(trial)?;
     with_design(trial, design)
 }
@@ -73,16 +74,16 @@ pub fn simulable(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> 
 ///
 /// # Errors
 /// Names the key with the largest share.
-fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
-    memory::check_here(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
+fn check_memory(trial: &TrialSpec) -> Result<(), NoResult> {
+    memory::check_here(trial).map_err(|invalid| NoResult::Rejected(invalid.to_string()))
 }
 
 /// Checks the length of an array.
-pub fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
+pub fn check_length(what: &str, given: usize, expected: usize) -> Result<(), NoResult> {
     match given == expected {
         true => Ok(()),
         false => {
-            Err(Failure::Rejected(format!("the {what} has {given} numbers; the trial needs {expected}")))
+            Err(NoResult::Rejected(format!("the {what} has {given} numbers; the trial needs {expected}")))
         }
     }
 }
@@ -91,15 +92,15 @@ pub fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Fai
 ///
 /// # Errors
 /// Names the first number that is not finite, and its index.
-pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
-    design::finite(what, values).map_err(Failure::Rejected)
+pub fn finite(what: &str, values: &[f64]) -> Result<(), NoResult> {
+    design::finite(what, values).map_err(NoResult::Rejected)
 }
 
 /// Converts a spec to a problem and places its sensors, by a search if the spec requires it.
 ///
 /// # Errors
 /// If the spec is invalid, this machine lacks the memory, or the search fails.
-pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, Failure> {
+pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, NoResult> {
     check_memory(trial)?;
     Ok(place::placed(&prepared(trial)?, pool)?.0)
 }
@@ -112,9 +113,9 @@ pub fn evaluate_designs(
     trial: &TrialSpec,
     designs: &[Vec<f64>],
     threads: usize,
-) -> Result<Vec<BodyEvaluation>, Failure> {
+) -> Result<Vec<BodyRecord>, NoResult> {
     let pool = pool(threads)?;
-    let trial = Trial::new(&placed(trial, &pool)?, &pool)?;
+    let trial = PreparedTrial::new(&placed(trial, &pool)?, &pool)?;
     let bodies = nested::evaluate_designs(&trial, designs, &mut nested::NoObserver);
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }

@@ -4,12 +4,12 @@
 use metasense_numerics::body::moments;
 use metasense_numerics::brains::fits;
 pub use metasense_numerics::dynamics::{Panel, PrescribedMotion};
-use metasense_numerics::feasible::{Active, Feasible};
+use metasense_numerics::feasible::{Active, FeasibleSet};
 use metasense_numerics::nested::{DecoderForCasts, brain_for_casts};
 use metasense_numerics::place::placed;
-use metasense_numerics::trial::{BrainKind, Decoder, Failure as OfMaths, Trial};
+use metasense_numerics::trial::{Decoder, DecoderKind, Failure as OfMaths, PreparedTrial};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::casts::NO_VARIATION;
 use crate::prepare::{check_length, prepared, simulable, with_design};
@@ -60,7 +60,7 @@ impl Drawing {
 ///
 /// # Errors
 /// If the spec is invalid, or the design belongs to another body.
-pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
+pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, NoResult> {
     let problem = with_design(trial, design)?;
     let scene = &problem.scene;
     let geometry = scene.geometry(design);
@@ -80,7 +80,7 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
         clamped: scene.clamped.clone(),
         guided: scene.guided.iter().map(|guided| guided.0).collect(),
         // An initial body may violate a limit; such constraints are not active.
-        active: Feasible::new(&scene.layout, problem.limits, &[])
+        active: FeasibleSet::new(&scene.layout, problem.limits, &[])
             .active(design)
             .into_iter()
             .filter(|a| a.slack >= 0.0)
@@ -101,7 +101,7 @@ pub fn replay(
     weights: &[f32],
     inverse: usize,
     threads: usize,
-) -> Result<Replay, Failure> {
+) -> Result<Replay, NoResult> {
     let problem = simulable(trial, design)?;
     if !weights.is_empty() {
         check_length("network", weights.len(), problem.reader_shape().weights())?;
@@ -109,7 +109,7 @@ pub fn replay(
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     let mut replay = questions::replay(&problem, design, weights, &pool)?;
-    if problem.decoder_kind == BrainKind::Inverse && inverse > 0 {
+    if problem.decoder_kind == DecoderKind::Inverse && inverse > 0 {
         replay.invert(&problem, design, inverse, &pool)?;
     }
     Ok(replay)
@@ -130,16 +130,16 @@ pub enum ReplayDecoder {
 ///
 /// # Errors
 /// If the spec is invalid, the network has no weights, or the fit fails.
-pub fn fit_decoder(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<ReplayDecoder, Failure> {
+pub fn fit_decoder(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<ReplayDecoder, NoResult> {
     let (problem, weights) = (prepared(trial)?, weights.to_vec());
     if problem.decoder_kind.is_network() && weights.is_empty() {
-        return Err(Failure::Rejected("the trial has trained no network on this body".into()));
+        return Err(NoResult::Rejected("the trial has trained no network on this body".into()));
     }
-    let linear = || Ok::<_, Failure>(replay.linear(&problem, &problem.decoder, &pool(1)?)?);
+    let linear = || Ok::<_, NoResult>(replay.linear(&problem, &problem.decoder, &pool(1)?)?);
     Ok(match problem.decoder_kind {
-        BrainKind::Stacked => ReplayDecoder::Stacked(linear()?, weights),
-        BrainKind::Network => ReplayDecoder::Network(weights),
-        BrainKind::Linear | BrainKind::Inverse => ReplayDecoder::Linear(linear()?),
+        DecoderKind::Stacked => ReplayDecoder::Stacked(linear()?, weights),
+        DecoderKind::Network => ReplayDecoder::Network(weights),
+        DecoderKind::Linear | DecoderKind::Inverse => ReplayDecoder::Linear(linear()?),
     })
 }
 
@@ -151,13 +151,13 @@ pub fn replay_for_casts(
     trial: &TrialSpec,
     design: &[f64],
     threads: usize,
-) -> Result<(Replay, ReplayDecoder), Failure> {
+) -> Result<(Replay, ReplayDecoder), NoResult> {
     let (problem, pool) = (simulable(trial, design)?, pool(threads)?);
     if problem.variation.is_none() {
-        return Err(Failure::Rejected(format!("the trial has {NO_VARIATION}")));
+        return Err(NoResult::Rejected(format!("the trial has {NO_VARIATION}")));
     }
     let (problem, _) = placed(&problem, &pool)?;
-    Ok(match brain_for_casts(&Trial::new(&problem, &pool)?, design).map_err(OfMaths::Initial)? {
+    Ok(match brain_for_casts(&PreparedTrial::new(&problem, &pool)?, design).map_err(OfMaths::Initial)? {
         DecoderForCasts::Linear(fitted) => {
             let mut replay = questions::replay(&problem, design, &[], &pool)?;
             let brain = replay.decode_with(&problem, &fitted);
@@ -180,7 +180,7 @@ pub fn replay_for_casts(
 ///
 /// # Errors
 /// If the spec is invalid, or the fit fails.
-pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>, Failure> {
+pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>, NoResult> {
     let problem = prepared(trial)?;
     let (instants, channels) = (problem.scene.instants, replay.signal_scale.len());
     if !fits(instants, channels) {
@@ -194,7 +194,7 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
 ///
 /// # Errors
 /// As [`replay`].
-pub fn motion(trial: &TrialSpec, design: &[f64], sample: usize, threads: usize) -> Result<Motion, Failure> {
+pub fn motion(trial: &TrialSpec, design: &[f64], sample: usize, threads: usize) -> Result<Motion, NoResult> {
     let problem = with_design(trial, design)?;
     Ok(questions::motion(&problem, design, sample, &pool(threads)?)?)
 }

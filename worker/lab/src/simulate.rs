@@ -2,11 +2,11 @@
 
 use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{
-    self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, energy, tune,
+    self, Forces, IntegratorSettings, Outcome, Scene, Simulation, Tuned, Wrt, energy, tune,
 };
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::memory::check_states;
-use metasense_worker::run::{Failure, pool};
+use metasense_worker::run::{NoResult, pool};
 
 use crate::prepare::{any_body, check_design, finite, placed};
 
@@ -39,7 +39,7 @@ pub struct Simulated {
 ///
 /// # Errors
 /// If the shape does not match the scene, or a number is not finite.
-pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces, Failure> {
+pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces, NoResult> {
     let (panels, instants) = (scene.panels.len(), scene.instants);
     finite("the forces", &values)?;
     match *shape {
@@ -48,7 +48,7 @@ pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces
         {
             Ok(Forces { samples, panels, instants: clock - 1, values, strikes: Vec::new() })
         }
-        _ => Err(Failure::Rejected(format!(
+        _ => Err(NoResult::Rejected(format!(
             "the forces have shape {shape:?}; it must be (N, K, T + 1) = (N, {panels}, {}), or a clock finer by a whole factor",
             instants + 1
         ))),
@@ -59,9 +59,9 @@ pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces
 ///
 /// # Errors
 /// If it has not, or a number is not finite.
-pub fn check_cotangent(expected: [usize; 3], shape: &[usize], values: &[f64]) -> Result<(), Failure> {
+pub fn check_cotangent(expected: [usize; 3], shape: &[usize], values: &[f64]) -> Result<(), NoResult> {
     if shape != expected {
-        return Err(Failure::Rejected(format!(
+        return Err(NoResult::Rejected(format!(
             "the cotangent has shape {shape:?}; it must be {expected:?}, that of the signals"
         )));
     }
@@ -73,7 +73,7 @@ pub fn strike(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
+    solver: &IntegratorSettings,
     keep_tape: bool,
     pool: &Pool,
 ) -> (Tuned, Simulation) {
@@ -92,14 +92,14 @@ pub fn simulate(
     forces: (&[usize], &[f64]),
     cotangent: Option<(&[usize], &[f64])>,
     threads: usize,
-) -> Result<Simulated, Failure> {
+) -> Result<Simulated, NoResult> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     let scene = &problem.scene;
     check_design(&problem, design)?;
     let forces = self::forces(scene, forces.0, forces.1.to_vec())?;
     let (samples, instants, sensors) = (forces.samples, scene.instants, scene.sensors.len());
-    check_states(samples, instants, scene.layout.units()).map_err(|e| Failure::Rejected(e.to_string()))?;
+    check_states(samples, instants, scene.layout.units()).map_err(|e| NoResult::Rejected(e.to_string()))?;
     if let Some((shape, values)) = cotangent {
         check_cotangent([samples, instants, 3 * sensors], shape, values)?;
     }
@@ -144,7 +144,7 @@ pub fn simulate(
 ///
 /// # Errors
 /// If the spec is invalid.
-pub fn body(trial: &TrialSpec) -> Result<(metasense_worker::design::Layout, Vec<f64>), Failure> {
+pub fn body(trial: &TrialSpec) -> Result<(metasense_worker::design::Layout, Vec<f64>), NoResult> {
     let problem = any_body(trial)?;
     Ok((problem.scene.layout, problem.initial))
 }

@@ -17,10 +17,10 @@ pub mod stored;
 use stored::Factors;
 
 /// Converts a twin to its stored form.
-pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
+pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::TwinFile {
     let Cast { material, parts, ligament_length, shifts, chips, .. } = &twin.cast;
     let [stretch, shear, bend, damping, density, contact] = material.array();
-    stored::Twin {
+    stored::TwinFile {
         body: trial.body_digest(design),
         misfit: twin.misfit,
         noise: twin.noise.clone(),
@@ -49,14 +49,14 @@ pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Twin, Meas
 /// # Errors
 /// As [`read`].
 pub fn parse(source: &Source, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
-    let stored: stored::Twin = source.parse()?;
+    let stored: stored::TwinFile = source.parse()?;
     checked(stored, trial, design).map_err(|Invalid { key, value, remedy }| {
         MeasuredError::Spec(source.error_with(&key, Some(&value), &remedy))
     })
 }
 
-fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin, Invalid> {
-    let stored::Twin {
+fn checked(twin: stored::TwinFile, trial: &TrialSpec, design: &[f64]) -> Result<Twin, Invalid> {
+    let stored::TwinFile {
         body: digest,
         misfit,
         noise,

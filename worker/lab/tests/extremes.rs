@@ -11,18 +11,18 @@ use metasense_numerics::random::Purpose;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::problem::problem;
-use metasense_worker::run::{Control, Observe, pool, run_trial};
+use metasense_worker::run::{LoopControl, ObserveTrial, pool, run_trial};
 use serde_json::{Value, json};
 
 struct Silent;
 
-impl Observe for Silent {
-    fn progress(&mut self) -> Control {
-        Control::Continue
+impl ObserveTrial for Silent {
+    fn progress(&mut self) -> LoopControl {
+        LoopControl::Continue
     }
     fn save(&mut self, _: Checkpoint) {}
-    fn step(&mut self, _: StepRecord, _: Checkpoint) -> Control {
-        Control::Continue
+    fn step(&mut self, _: StepRecord, _: Checkpoint) -> LoopControl {
+        LoopControl::Continue
     }
 }
 

@@ -7,7 +7,7 @@
 //! Δl² + ½ k_s (l γ)² + ½ k_θ Δθ², has the terms of MODEL.md. Rubber is incompressible: E/G = 3, and κ = 10 (1 + ν)/(12 + 11 ν) =
 //! 6/7 with ν = ½ (Cowper 1966, doi:10.1115/1.3625046).
 
-use crate::dynamics::Stiffness;
+use crate::dynamics::LigamentStiffness;
 
 /// κ of a rectangle, ν = ½.
 const SHEAR_CORRECTION: f64 = 6.0 / 7.0;
@@ -16,7 +16,7 @@ const YOUNG_TO_SHEAR: f64 = 3.0;
 
 /// Material and dimensions of a ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ligament {
+pub struct LigamentMaterial {
     /// E (MPa).
     pub modulus: f64,
     /// t, out of the plane (mm).
@@ -27,19 +27,19 @@ pub struct Ligament {
     pub length: f64,
 }
 
-impl Ligament {
+impl LigamentMaterial {
     /// The ligament with these stiffnesses in stretch and bending: w = √(12 k_θ/k_l), E t = k_l l/w. Its shear stiffness follows.
-    pub fn of(stiffness: &Stiffness, length: f64, thickness: f64) -> Self {
+    pub fn of(stiffness: &LigamentStiffness, length: f64, thickness: f64) -> Self {
         let width = (12.0 * stiffness.bend / stiffness.stretch).sqrt();
         Self { modulus: stiffness.stretch * length / (thickness * width), thickness, width, length }
     }
 
     /// Stiffnesses of the ligament.
-    pub fn stiffness(&self) -> Stiffness {
+    pub fn stiffness(&self) -> LigamentStiffness {
         let Self { modulus, thickness, width, length } = *self;
         let bend = modulus * thickness * width.powi(3) / (12.0 * length);
         let shearing = YOUNG_TO_SHEAR / SHEAR_CORRECTION * (width / length).powi(2);
-        Stiffness {
+        LigamentStiffness {
             stretch: modulus * thickness * width / length,
             shear: 12.0 * bend / (length * length * (1.0 + shearing)),
             bend,

@@ -30,7 +30,7 @@ pub use evaluation::{
 pub use fresh::{estimate_tasks, fit_readouts};
 pub use inversion::INVERTED_PER_CAST;
 pub use nonlinear::{EXACT, Nonlinear};
-pub use observe::{Control, NoObserver, Observe};
+pub use observe::{LoopControl, NoObserver, Observe};
 pub use report::{Report, Seconds};
 pub use schedule::{RUNGS, evaluated_fraction, evaluation_step_near};
 pub use state::{Best, PastDesign, State};
@@ -41,7 +41,7 @@ use observe::Log;
 use protocol::{Session, StepResult};
 use search::GradientFree;
 
-use crate::trial::{Failure, Trial};
+use crate::trial::{Failure, PreparedTrial};
 
 /// Optimises the body of `trial` together with its decoder, from the beginning or from a state that `observer` received earlier. A
 /// resumed run gives the same bits. `None` if the observer stopped it.
@@ -49,7 +49,7 @@ use crate::trial::{Failure, Trial};
 /// # Errors
 /// If the initial body cannot be simulated or trained, or steps fail repeatedly and no earlier body is left.
 pub fn optimise(
-    trial: &Trial,
+    trial: &PreparedTrial,
     resume: Option<State>,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
@@ -79,7 +79,7 @@ pub fn optimise(
         state.step += 1;
         let report = log.report;
         observer.progress(problem.progress(state.step));
-        if observer.step(&report, &state) == Control::Stop {
+        if observer.step(&report, &state) == LoopControl::Stop {
             return Ok(None);
         }
     }

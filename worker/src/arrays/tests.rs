@@ -1,10 +1,10 @@
 use super::*;
-use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation};
+use metasense_schemas::record::{BodyRecord, NetworkRecord};
 
 fn result() -> TrialResult {
     let network =
-        |weights: Vec<f32>| NetworkEvaluation { losses: vec![1.0, 0.5, 0.25], weights, ..Default::default() };
-    let body = |x: f64| BodyEvaluation {
+        |weights: Vec<f32>| NetworkRecord { losses: vec![1.0, 0.5, 0.25], weights, ..Default::default() };
+    let body = |x: f64| BodyRecord {
         design: vec![x; 5],
         networks: vec![network(vec![x as f32; 7]), network(Vec::new())],
         ..Default::default()

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use metasense_numerics::Heartbeat;
-use metasense_numerics::trial::Fault;
+use metasense_numerics::trial::BodyFailure;
 use metasense_schemas::reason::BodyFault;
 use metasense_schemas::spec::Description;
 use rustix::fs::{MemfdFlags, memfd_create};
@@ -58,7 +58,7 @@ impl Process {
         kept: &'a mut Option<Self>,
         command: &[String],
         limit: Duration,
-    ) -> Result<&'a mut Self, Fault> {
+    ) -> Result<&'a mut Self, BodyFailure> {
         let usable =
             |process: &mut Self| process.command == command && matches!(process.child.try_wait(), Ok(None));
         if !kept.as_mut().is_some_and(usable) {
@@ -68,8 +68,8 @@ impl Process {
         Ok(kept.as_mut().expect("it has just been put there"))
     }
 
-    fn start(command: &[String], limit: Duration) -> Result<Self, Fault> {
-        let wrong = |what: String| Fault {
+    fn start(command: &[String], limit: Duration) -> Result<Self, BodyFailure> {
+        let wrong = |what: String| BodyFailure {
             name: BodyFault::Died.name(),
             detail: format!("{}: {what}", command.join(" ")),
         };
@@ -112,7 +112,7 @@ impl Process {
     }
 
     /// Digest of the description and of the command's text files.
-    fn digest(&self, description: &Description) -> Result<String, Fault> {
+    fn digest(&self, description: &Description) -> Result<String, BodyFailure> {
         let mut digest = blake3::Hasher::new();
         digest.update(serde_json::to_string(description).expect("it is JSON").as_bytes());
         for file in self.command.iter().map(Path::new).filter(|file| file.is_file()) {
@@ -134,7 +134,7 @@ impl Process {
         (name, shape): (&str, &[usize]),
         limit: Duration,
         heartbeat: &Heartbeat,
-    ) -> Result<(Value, Vec<f64>), Fault> {
+    ) -> Result<(Value, Vec<f64>), BodyFailure> {
         let (mut request, mut end) = (request.clone(), 0);
         let mut place = |name: &str, shape: &[usize]| {
             request[name] = json!([&[end][..], shape].concat());
@@ -178,7 +178,12 @@ impl Process {
     }
 
     /// Sends a request and waits for the answer.
-    fn exchange(&mut self, request: &Value, limit: Duration, heartbeat: &Heartbeat) -> Result<Value, Fault> {
+    fn exchange(
+        &mut self,
+        request: &Value,
+        limit: Duration,
+        heartbeat: &Heartbeat,
+    ) -> Result<Value, BodyFailure> {
         let sent = writeln!(self.input, "{request}").and_then(|()| self.input.flush());
         if sent.is_err() {
             return Err(self.died());
@@ -211,7 +216,7 @@ impl Process {
         }
     }
 
-    fn died(&mut self) -> Fault {
+    fn died(&mut self) -> BodyFailure {
         let end = Instant::now() + LAST_WORDS;
         let status = loop {
             match self.child.try_wait() {
@@ -227,11 +232,11 @@ impl Process {
     }
 
     /// A fault with the last lines of standard error.
-    fn fault(&self, fault: BodyFault, what: &str) -> Fault {
+    fn fault(&self, fault: BodyFault, what: &str) -> BodyFailure {
         let lines = self.errors.lock().unwrap_or_else(PoisonError::into_inner);
         let mut detail = format!("{}: {what}", self.command.join(" "));
         lines.iter().for_each(|line| detail += &format!("\n  {line}"));
-        Fault { name: fault.name(), detail }
+        BodyFailure { name: fault.name(), detail }
     }
 }
 

@@ -66,7 +66,7 @@ impl<'a> Form<'a> {
 
 /// Columns of equal length.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Table {
+pub struct ColumnTable {
     /// Column names; empty if columns have only numbers.
     names: Vec<String>,
     /// Column values; empty for columns that are not read.
@@ -75,7 +75,7 @@ pub struct Table {
     lines: Vec<usize>,
 }
 
-impl Table {
+impl ColumnTable {
     /// Parses a CSV.
     ///
     /// # Errors

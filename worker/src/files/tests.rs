@@ -17,7 +17,7 @@ fn numbered(numbers: &[usize]) -> Vec<Signal> {
 /// Parses the columns `read` of a CSV, with keys of the table `recorded`.
 fn columns(text: impl AsRef<[u8]>, read: &[Signal], form: Form) -> Result<Vec<Vec<f64>>, String> {
     let form = Form { read: Some(read.iter().collect()), keys: Some("recorded"), ..form };
-    let table = Table::parse(text.as_ref(), &form)?;
+    let table = ColumnTable::parse(text.as_ref(), &form)?;
     read.iter().map(|signal| Ok(table.values(table.column(signal)?).to_vec())).collect()
 }
 

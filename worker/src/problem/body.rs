@@ -2,7 +2,7 @@
 
 use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::dynamics::{Panel, PrescribedMotion};
-use metasense_numerics::feasible::{Feasible, Limits};
+use metasense_numerics::feasible::{FeasibleSet, Limits};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, Guide, LayoutKind, Struck, TrialSpec};
 use std::collections::BTreeMap;
 
@@ -439,7 +439,7 @@ pub(super) fn check_castable(
     limits: Limits,
     initial: &[f64],
 ) -> Result<(), Invalid> {
-    let broken = Feasible::new(layout, limits, &[]).violations(initial);
+    let broken = FeasibleSet::new(layout, limits, &[]).violations(initial);
     if broken.is_empty() {
         return Ok(());
     }
@@ -483,7 +483,7 @@ pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Res
         Some(Design::Random { spread, .. }) if !(*spread > 0.0 && *spread <= 1.0) => {
             Err(wrong("spread must be above 0 and at most 1".into()))
         }
-        Some(Design::Random { random, spread }) => Feasible::new(layout, limits, &[])
+        Some(Design::Random { random, spread }) => FeasibleSet::new(layout, limits, &[])
             .random_design(&regular, *random, spread * layout.spacing)
             .ok_or_else(|| wrong("no feasible design was found near the rotated squares".into())),
         Some(Design::Shifts { shifts }) if shifts.len() == layout.design_len() => {

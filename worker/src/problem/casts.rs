@@ -1,9 +1,9 @@
 //! Deviations of casts, training objectives and evaluations over casts, from the spec.
 
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{Parameters, Relaxation};
+use metasense_numerics::dynamics::{MaxwellBranch, Parameters};
 use metasense_numerics::trial::{CastObjective, ObjectiveDomain};
-use metasense_numerics::variation::Variation;
+use metasense_numerics::variation::Deviations;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
 use super::body::lengths;
@@ -25,7 +25,7 @@ const ALIKE_MAX: usize = 2000;
 const CASTS_MAX: usize = 10_000;
 
 /// Deviations of casts of a body with `units` units.
-pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variation>, Invalid> {
+pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Deviations>, Invalid> {
     let Some(given) = &trial.variation else { return Ok(None) };
     let spec::Variation { stretch, shear, bend, damping, density, contact, .. } = *given;
     let spec::Variation { nodes, gain, misalignment, ligament_length, relaxation, .. } = *given;
@@ -74,17 +74,17 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     );
     require((0.0..=most).contains(&ligament_length), "variation.ligament_length", ligament_length, &remedy)?;
     let relaxation = relaxation.map(relaxing).transpose()?;
-    let parts = Variation { material, ligaments, units, ligament_length, ..Variation::default() };
-    Ok(Some(Variation { relaxation, nodes, correlation, gain, misalignment, ..parts }))
+    let parts = Deviations { material, ligaments, units, ligament_length, ..Deviations::default() };
+    Ok(Some(Deviations { relaxation, nodes, correlation, gain, misalignment, ..parts }))
 }
 
 /// Relaxation of ligaments in casts that evaluate a body.
-fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxation, Invalid> {
+fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<MaxwellBranch, Invalid> {
     let remedy = "must lie between 0 and 1: a fraction of the ligament's stiffness";
     require((0.0..=1.0).contains(&share), "variation.relaxation.share", share, remedy)?;
     let remedy = "must lie between 1e-4 and 1000 s: a faster branch acts as damping only";
     require((1e-4..=1e3).contains(&time), "variation.relaxation.time", time, remedy)?;
-    Ok(Relaxation { share, time })
+    Ok(MaxwellBranch { share, time })
 }
 
 /// Checks the standard deviation of a key of `[variation]`.

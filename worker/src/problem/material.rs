@@ -1,7 +1,7 @@
 //! Mass per area, stiffness and damping of a body from its spec.
 
-use metasense_numerics::dynamics::Stiffness;
-use metasense_numerics::material::{Ligament, modulus_at_rest};
+use metasense_numerics::dynamics::LigamentStiffness;
+use metasense_numerics::material::{LigamentMaterial, modulus_at_rest};
 use metasense_schemas::spec::{self, Material, Rubber};
 
 use super::body::lengths;
@@ -41,8 +41,8 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     positive("body.material.thickness", thickness)?;
     positive("body.material.ligament_width", ligament_width)?;
     let [_, length] = lengths(body)?;
-    let ligament = Ligament { modulus, thickness, width: ligament_width, length };
-    let Stiffness { stretch, shear, bend } = ligament.stiffness();
+    let ligament = LigamentMaterial { modulus, thickness, width: ligament_width, length };
+    let LigamentStiffness { stretch, shear, bend } = ligament.stiffness();
     Ok(spec::Body {
         density: Some(density * thickness),
         stiffness: Some(spec::Stiffness { stretch, shear, bend }),
@@ -55,7 +55,7 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
 ///
 /// # Errors
 /// If a value is missing or out of range.
-pub fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
+pub fn material(body: &spec::Body) -> Result<(f64, LigamentStiffness), Invalid> {
     let (density, stiffness) = match body.density.zip(body.stiffness) {
         Some(both) => both,
         None => {
@@ -82,5 +82,5 @@ pub fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
         let remedy = "must be less than body.contact.cutoff_angle, both within ±180 degrees";
         require(in_order, "body.contact.min_angle", least, remedy)?;
     }
-    Ok((density, Stiffness { stretch, shear, bend }))
+    Ok((density, LigamentStiffness { stretch, shear, bend }))
 }

@@ -1,15 +1,15 @@
 //! Settings of the outer loop from its spec: the protocol, and which shifts move.
 
 use metasense_numerics::body::{Freedom, Layout};
-use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_numerics::trial::{Protocol, StepTraining, Terms};
+use metasense_numerics::feasible::{FeasibleSet, Limits};
+use metasense_numerics::trial::{StepTraining, Terms, TrainingProtocol};
 use metasense_schemas::spec::{self, TrialSpec};
 
 use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, fixed_shape_units, held};
 use crate::invalid::{Invalid, absent, as_written, positive, require, within};
 
 /// The training protocol.
-pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
+pub(super) fn protocol(optimise: &spec::Optimise) -> Result<TrainingProtocol, Invalid> {
     let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
         optimise;
     // keys without effect are rejected: otherwise identical trials would get different hashes
@@ -38,12 +38,12 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     within("optimise.brain_iterations", going.brain_iterations, 1, ITERATIONS_MAX)?;
     positive("optimise.brain_learning_rate", going.brain_rate)?;
     Ok(match protocol {
-        spec::Protocol::Paper => Protocol::Paper(match gradient {
+        spec::Protocol::Paper => TrainingProtocol::Paper(match gradient {
             None | Some(spec::GradientTerms::Implicit) => Terms::Implicit,
             Some(spec::GradientTerms::Direct) => Terms::Direct,
         }),
-        spec::Protocol::Joint => Protocol::Joint(going),
-        spec::Protocol::Random => Protocol::Random(going),
+        spec::Protocol::Joint => TrainingProtocol::Joint(going),
+        spec::Protocol::Random => TrainingProtocol::Random(going),
     })
 }
 
@@ -85,7 +85,7 @@ pub fn castable(
     layout: &Layout,
     limits: Limits,
     kept: &[usize],
-) -> Result<Feasible, Invalid> {
+) -> Result<FeasibleSet, Invalid> {
     let (tie, frozen) = (tie(optimise)?, frozen(optimise, layout)?);
-    Ok(Feasible::moving(layout, limits, tie, &frozen, kept))
+    Ok(FeasibleSet::moving(layout, limits, tie, &frozen, kept))
 }

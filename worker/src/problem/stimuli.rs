@@ -1,9 +1,9 @@
 //! Force histories and chip properties from the spec.
 
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{Inertia, Mount};
-use metasense_numerics::stimuli::{Bell, Gauss, Irregular, Source, StrikeScatter};
-use metasense_numerics::trial::{Disturbance, Size, Stimuli};
+use metasense_numerics::dynamics::{AddedMass, Mount};
+use metasense_numerics::stimuli::{Bell, Gauss, HistorySource, Irregular, StrikeScatter};
+use metasense_numerics::trial::{ChipErrors, ForceSets, Size};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
 use super::body::{lengths, listed};
@@ -12,7 +12,7 @@ use crate::invalid::{Invalid, absent, as_written, at_least, at_most, invalid, no
 use crate::records;
 
 /// Source of a trial's forces, and numbers of samples.
-pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
+pub(super) fn stimuli(trial: &TrialSpec) -> Result<ForceSets, Invalid> {
     let mut stimuli = trial.stimuli.clone().resolved();
     if read_under(trial).any(|part| part.kind == StimuliKind::Recorded) && !has_records(&stimuli) {
         stimuli.recorded = None;
@@ -25,34 +25,41 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     require(test < samples, "stimuli.test", test, &remedy)?;
     at_least("stimuli.holdout", holdout, 1)?;
     let instants = force_instants(trial)?;
-    Ok(Stimuli { source: source(trial, &stimuli, instants)?, instants, samples, test, replacement, holdout })
+    Ok(ForceSets {
+        source: source(trial, &stimuli, instants)?,
+        instants,
+        samples,
+        test,
+        replacement,
+        holdout,
+    })
 }
 
 /// The source of the forces.
-fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Source, Invalid> {
+fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<HistorySource, Invalid> {
     refuse_unread(stimuli)?;
     let source = match (stimuli.kind, &stimuli.recorded) {
-        (StimuliKind::Bell, _) => Source::Bell(bell(trial, stimuli)?),
-        (StimuliKind::Gauss, _) => Source::Gauss(gauss(trial, stimuli)?),
-        (StimuliKind::Irregular, _) => Source::Irregular(irregular(trial, stimuli)?),
+        (StimuliKind::Bell, _) => HistorySource::Bell(bell(trial, stimuli)?),
+        (StimuliKind::Gauss, _) => HistorySource::Gauss(gauss(trial, stimuli)?),
+        (StimuliKind::Irregular, _) => HistorySource::Irregular(irregular(trial, stimuli)?),
         (StimuliKind::Recorded, Some(recorded)) => {
-            Source::Recorded(records::load_records(trial, recorded, instants)?)
+            HistorySource::Recorded(records::load_records(trial, recorded, instants)?)
         }
         (StimuliKind::Recorded, None) => {
             return Err(invalid("stimuli.recorded", "", "must be set: the files and their contents"));
         }
-        (StimuliKind::Mix, _) => Source::Mix(mix(trial, stimuli, instants)?),
+        (StimuliKind::Mix, _) => HistorySource::Mix(mix(trial, stimuli, instants)?),
     };
     let silent = stimuli.silent.unwrap_or_default();
     let remedy = "must lie between 0 and 0.99";
     require((0.0..=0.99).contains(&silent), "stimuli.silent", silent, remedy)?;
     let source = match (anywhere(trial, stimuli)?, silent > 0.0) {
-        (true, _) => Source::Anywhere(Box::new(source)),
-        (_, true) => Source::Silent(silent, Box::new(source)),
+        (true, _) => HistorySource::Anywhere(Box::new(source)),
+        (_, true) => HistorySource::Silent(silent, Box::new(source)),
         _ => source,
     };
     Ok(match hand(trial, stimuli)? {
-        Some(hand) => Source::Struck(hand, Box::new(source)),
+        Some(hand) => HistorySource::Struck(hand, Box::new(source)),
         None => source,
     })
 }
@@ -98,7 +105,11 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<StrikeScatt
 const ROUNDING: f64 = 1e-6;
 
 /// The parts of a mixture with their weights.
-fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Vec<(f64, Source)>, Invalid> {
+fn mix(
+    trial: &TrialSpec,
+    stimuli: &spec::Stimuli,
+    instants: usize,
+) -> Result<Vec<(f64, HistorySource)>, Invalid> {
     let (key, parts) = ("stimuli.mix", stimuli.mix.as_deref().unwrap_or_default());
     let kinds: Vec<StimuliKind> = parts.iter().map(|part| part.kind).collect();
     let kinds = as_written(&kinds);
@@ -129,7 +140,7 @@ fn source_of_part(
     part: &spec::Part,
     stimuli: &spec::Stimuli,
     instants: usize,
-) -> Result<Source, Invalid> {
+) -> Result<HistorySource, Invalid> {
     source(trial, &part.alone(stimuli), instants).map_err(|e| match e.key.strip_prefix("stimuli.") {
         Some(own) if !own.starts_with("recorded") => Invalid { key: format!("{key}.{own}"), ..e },
         _ => e,
@@ -148,7 +159,7 @@ fn read_under(trial: &TrialSpec) -> impl Iterator<Item = &spec::Part> {
 }
 
 /// Their sources.
-pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
+pub(super) fn under(trial: &TrialSpec) -> Result<Vec<HistorySource>, Invalid> {
     let (key, kinds) = ("evaluation.under", read_under(trial).map(|part| part.kind).collect::<Vec<_>>());
     let shown = as_written(&kinds);
     for (n, part) in read_under(trial).enumerate() {
@@ -283,11 +294,8 @@ const CHIP_MAX: f64 = 1e-3;
 const BANDWIDTH_MAX: f64 = 2.0;
 
 /// Noise, filters and limits of the sensors' chips; `None` if there are none.
-pub(super) fn disturbance(
-    sensors: &spec::Sensors,
-    time: &spec::Time,
-) -> Result<Option<Disturbance>, Invalid> {
-    let Disturbance { range: wide, noise: still, .. } = Disturbance::NONE;
+pub(super) fn disturbance(sensors: &spec::Sensors, time: &spec::Time) -> Result<Option<ChipErrors>, Invalid> {
+    let ChipErrors { range: wide, noise: still, .. } = ChipErrors::NONE;
     let size = |key: &str, given: Option<spec::Disturbance>| -> Result<Size, Invalid> {
         let (values, size) = match given {
             None => return Ok(still),
@@ -316,23 +324,23 @@ pub(super) fn disturbance(
     let remedy = "must be at least 0 and less than sensors.range: [mm/s², rad/s]";
     let fine = resolution.iter().zip(range).all(|(step, most)| (0.0..most).contains(step));
     require(fine, "sensors.resolution", format!("{resolution:?}"), remedy)?;
-    let disturbance = Disturbance { noise, bias, delay, bandwidth, range, resolution };
+    let disturbance = ChipErrors { noise, bias, delay, bandwidth, range, resolution };
     let clock = disturbance.clock(interval);
     let (key, value) = if delay > 0.0 { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
     let most = INSTANTS_MAX / clock;
     let remedy =
         format!("needs {clock} instants of motion per reading, so that time.samples must be at most {most}");
     require(time.samples * clock <= INSTANTS_MAX, key, value, &remedy)?;
-    Ok((disturbance != Disturbance::NONE).then_some(disturbance))
+    Ok((disturbance != ChipErrors::NONE).then_some(disturbance))
 }
 
 /// Mass and moment of inertia that a chip adds to its unit.
-pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invalid> {
+pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<AddedMass>, Invalid> {
     let [mass, moment] = [sensors.mass, sensors.inertia].map(Option::unwrap_or_default);
     not_negative("sensors.mass", mass)?;
     require(mass <= CHIP_MAX, "sensors.mass", mass, "must be at most 1e-3 Mg (1 kg); 9 g = 9e-6 Mg")?;
     not_negative("sensors.inertia", moment)?;
-    Ok((mass > 0.0 || moment > 0.0).then_some(Inertia { mass, moment }))
+    Ok((mass > 0.0 || moment > 0.0).then_some(AddedMass { mass, moment }))
 }
 
 /// Offset and tilt of a chip on its unit.

@@ -449,7 +449,7 @@ fn blows_anywhere_are_divided_between_neighbours() {
                 let struck: Vec<usize> = (0..edge.len()).filter(struck).collect();
                 assert!(struck.len() == 2 && struck[1] == struck[0] + 1, "{kind}, {i}: {struck:?}");
                 let at = point(purpose, 1, i as u64, edge.len());
-                let label = labeller.label(Task::Position, targets, 0);
+                let label = labeller.label(SensingTask::Position, targets, 0);
                 let found = [0, 1].map(|d| first[d] + 0.25 * at * (last[d] - first[d]));
                 assert!((0..2).all(|d| (label[d] - found[d]).abs() < 1e-9), "{kind}: {label:?} {found:?}");
                 positions.push(0.25 * at);

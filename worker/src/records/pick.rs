@@ -6,7 +6,7 @@ use metasense_schemas::spec::{self, Signal, TimeUnit};
 
 use super::Record;
 use super::clock::with_clock;
-use crate::files::{Array, Content, Table};
+use crate::files::{Array, ColumnTable, Content};
 use crate::invalid::as_written;
 
 /// The columns or arrays to read, and their clock.
@@ -55,7 +55,7 @@ impl<'a> Pick<'a> {
 
 /// The records of a file, unconverted.
 pub fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
-    let of_array: Table;
+    let of_array: ColumnTable;
     let table = match held {
         Content::Table(table) => table,
         Content::Array(array) if array.shape.len() == 3 => {
@@ -71,7 +71,7 @@ pub fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
             return histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect();
         }
         Content::Array(array) => {
-            of_array = Table::of_array(array)?;
+            of_array = ColumnTable::of_array(array)?;
             &of_array
         }
         Content::Archive(arrays) => return of_archive(pick, arrays),

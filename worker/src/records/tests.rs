@@ -16,7 +16,7 @@ impl Folder {
     }
 
     /// Reads `stimuli.recorded` with these keys, for one training, test and held-out sample each, on two panels.
-    fn read(&self, names: &[&str], keys: Value) -> Result<Recorded, Invalid> {
+    fn read(&self, names: &[&str], keys: Value) -> Result<RecordedForces, Invalid> {
         let mut table = json!({ "files": names.iter().map(|n| self.0.path().join(n)).collect::<Vec<_>>() });
         table.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
         let trial: TrialSpec = serde_json::from_value(json!({

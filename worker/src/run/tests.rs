@@ -17,8 +17,8 @@ fn every_trouble_is_a_cause_of_its_own() {
     ];
     let all: Vec<Trouble> = simulations.chain(trainings.map(Trouble::Training)).chain(others).collect();
     for trouble in &all {
-        let failure = Failure::from(trial::Failure::Stuck(3, *trouble));
-        let Failure::Numerical { cause, detail } = failure else { panic!("{failure:?}") };
+        let failure = NoResult::from(trial::Failure::Stuck(3, *trouble));
+        let NoResult::Numerical { cause, detail } = failure else { panic!("{failure:?}") };
         assert_eq!(cause.name(), trouble.name());
         assert!(detail.starts_with("3 consecutive steps were undone: "), "{detail}");
     }

@@ -1,4 +1,4 @@
-use super::super::trial::Reading;
+use super::super::trial::LinearErrors;
 use super::*;
 use serde_json::json;
 
@@ -12,8 +12,8 @@ fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whol
         cluster: Cluster { placement: 0, seed },
         errors: pair(own),
         readings: vec![
-            Reading { memory: [1.0, 1.0], is_longest: true, errors: read(whole) },
-            Reading { memory: [1.0, 0.0], is_longest: false, errors: read(whole.map(|e| 3.0 * e)) },
+            LinearErrors { memory: [1.0, 1.0], is_longest: true, errors: read(whole) },
+            LinearErrors { memory: [1.0, 0.0], is_longest: false, errors: read(whole.map(|e| 3.0 * e)) },
         ],
         ..Trial::default()
     }

@@ -25,20 +25,20 @@ fn gains_over_casts_are_told_by_body_and_brain() {
             ),
         ] {
             let spec = json!({"optimise": optimise, "brain": {"kind": "linear"}, "point": {"panels": 2, "sensors": 1, "seed": seed}});
-            let reading = |(body, by, errors): (Body, CastDecoder, [f64; 2])| CastReading {
+            let reading = |(body, by, errors): (BodyState, CastDecoder, [f64; 2])| ReadingOnCasts {
                 body,
                 decoder: by,
                 casts: 24,
-                failed: u64::from(body == Body::Initial),
+                failed: u64::from(body == BodyState::Initial),
                 errors: errors.map(|error| factor * error),
                 // the median sample is worse on casts of trained bodies
-                median: Some(factor * if body == Body::Initial { 20.0 } else { 40.0 }),
+                median: Some(factor * if body == BodyState::Initial { 20.0 } else { 40.0 }),
             };
             let read = [
-                (Body::Initial, CastDecoder::Casts, [40.0, 80.0]),
-                (Body::Initial, of_records, [20.0, 40.0]),
-                (Body::Optimised, CastDecoder::Casts, cast),
-                (Body::Optimised, of_records, cast.map(|error| 0.5 * error)),
+                (BodyState::Initial, CastDecoder::Casts, [40.0, 80.0]),
+                (BodyState::Initial, of_records, [20.0, 40.0]),
+                (BodyState::Optimised, CastDecoder::Casts, cast),
+                (BodyState::Optimised, of_records, cast.map(|error| 0.5 * error)),
             ];
             trials.push(Trial {
                 setting: flatten(&spec).into_iter().collect(),

@@ -1,8 +1,9 @@
 //! The claims, in the order of the paper.
 
 use super::{
-    Body, CHANCE, Claim, Evidence, Scene, Trial, blows_more, complexity, elbow_at, error_ratio, every_number,
-    few_sensors_ratio, implicit, iterations, long_ratio, placements, random_bodies, ratio_by_set,
+    BodyState, CHANCE, Claim, Evidence, Scene, Trial, blows_more, complexity, elbow_at, error_ratio,
+    every_number, few_sensors_ratio, implicit, iterations, long_ratio, placements, random_bodies,
+    ratio_by_set,
 };
 
 pub(super) const GRADIENT: &[&str] = &["claims/gradient"];
@@ -75,7 +76,7 @@ pub const CLAIMS: [Claim; 15] = [
         chance: CHANCE,
         specs: &["claims/two-forces", "claims/random"],
         scene: None,
-        find: |stated, trials| random_bodies(stated, trials, Body::Initial),
+        find: |stated, trials| random_bodies(stated, trials, BodyState::Initial),
     },
     Claim {
         says: "random bodies have a larger error than the trained body",
@@ -84,7 +85,7 @@ pub const CLAIMS: [Claim; 15] = [
         chance: CHANCE,
         specs: &["claims/two-forces", "claims/random"],
         scene: None,
-        find: |stated, trials| random_bodies(stated, trials, Body::Optimised),
+        find: |stated, trials| random_bodies(stated, trials, BodyState::Optimised),
     },
     four("K = 4: the trained body is better with every number of sensors", 1.0, every_number),
     four("K = 4: its error has an elbow at M = 2", 2.0, elbow_at),

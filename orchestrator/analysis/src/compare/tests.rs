@@ -27,7 +27,7 @@ fn database(brain: &str, factor: f64, sensors: &[u64]) -> Vec<Trial> {
 #[test]
 fn trials_are_paired_by_all_but_what_is_compared() {
     let (first, second) = (database("cnn", 2.0, &[1, 2]), database("linear", 1.5, &[1, 2, 3, 4]));
-    let found = Comparison::new(&first, &second);
+    let found = TrialPairs::new(&first, &second);
     assert_eq!((found.pairs.len(), found.alone), (10, [0, 10]));
     let differs: Vec<&str> = found.differs.keys().copied().collect();
     assert_eq!(differs, ["brain.kind"]);
@@ -45,7 +45,7 @@ fn trials_are_paired_by_all_but_what_is_compared() {
 #[test]
 fn sweeps_of_other_places_or_seeds_have_no_pairs() {
     let (mut first, mut second) = (database("cnn", 2.0, &[1, 2]), database("cnn", 1.5, &[3, 4]));
-    assert_eq!(Comparison::new(&first, &second).pairs.len(), 0);
+    assert_eq!(TrialPairs::new(&first, &second).pairs.len(), 0);
     second = database("cnn", 1.5, &[1, 2]);
     for (seed, trials) in [(1, &mut first), (2, &mut second)] {
         for trial in &mut *trials {
@@ -54,7 +54,7 @@ fn sweeps_of_other_places_or_seeds_have_no_pairs() {
             trial.setting = leaves.chain([("point.seed".to_owned(), json!(seed))]).collect();
         }
     }
-    assert_eq!(Comparison::new(&first, &second).pairs.len(), 0);
+    assert_eq!(TrialPairs::new(&first, &second).pairs.len(), 0);
     second.clear();
-    assert_eq!(Comparison::new(&first, &second).alone, [10, 0]);
+    assert_eq!(TrialPairs::new(&first, &second).alone, [10, 0]);
 }

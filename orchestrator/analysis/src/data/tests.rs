@@ -1,5 +1,5 @@
 use super::*;
-use crate::setting::{Settings, flatten};
+use crate::setting::{SharedSettings, flatten};
 use serde_json::json;
 
 /// Returns a trial with additional settings.
@@ -116,7 +116,7 @@ fn what_judges_bodies_tells_no_trials_apart_where_none_disagree() {
 /// A trial that is repeated with casts counts once. Recorded forces are identified by content, not by file.
 #[test]
 fn a_trial_that_is_judged_again_counts_once() {
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     let mut trial = |seed: u64, errors: [f64; 2], more: &Value| {
         let recorded = |folder: &str| json!({"files": [format!("{folder}/f.npy")], "digest": "ab"});
         let mut spec = json!({"point": {"panels": 2, "sensors": 1, "placement": 0, "seed": seed},
@@ -148,8 +148,8 @@ fn a_trial_that_is_judged_again_counts_once() {
         let found = observations(&found[group].trials, body, Set::Test, |t| t.sensors);
         found.iter().map(|o| (o.cluster.seed, o.error)).collect::<Vec<_>>()
     };
-    assert_eq!(of(0, Body::Initial), [(1, 20.0), (2, 30.0)]);
-    assert_eq!((of(1, Body::Initial), of(1, Body::Optimised)), (vec![(3, 40.0)], vec![]));
+    assert_eq!(of(0, BodyState::Initial), [(1, 20.0), (2, 30.0)]);
+    assert_eq!((of(1, BodyState::Initial), of(1, BodyState::Optimised)), (vec![(3, 40.0)], vec![]));
     let ratio = super::super::paired::error_ratio(&refs, Set::Holdout).unwrap();
     assert_eq!((ratio.trials, ratio.above_one), (2, 2));
 

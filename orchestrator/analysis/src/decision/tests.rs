@@ -19,12 +19,13 @@ fn curve(errors: &[f64], placements: u64) -> Vec<Observation> {
 #[test]
 fn the_smallest_within_ten_percent_and_what_it_hangs_on() {
     let errors = [30.0, 20.0, 12.0, 10.9, 10.0];
-    let found = decisions(&curve(&errors, 5), Terms::default()).unwrap();
+    let found = decisions(&curve(&errors, 5), DecisionTerms::default()).unwrap();
     assert_eq!((found.within.at, found.within.without_largest), (4.0, 4.0), "{found:?}");
     assert_eq!((found.within.share(4.0), found.priced.clone()), (Some(1.0), None), "{found:?}");
-    let falling = decisions(&curve(&[16.0, 8.0, 4.0, 2.0], 5), Terms::default()).unwrap();
+    let falling = decisions(&curve(&[16.0, 8.0, 4.0, 2.0], 5), DecisionTerms::default()).unwrap();
     assert_eq!((falling.within.at, falling.within.without_largest), (4.0, 3.0), "{falling:?}");
-    let wide = decisions(&curve(&errors, 5), Terms { within: 0.25, ..Terms::default() }).unwrap();
+    let wide =
+        decisions(&curve(&errors, 5), DecisionTerms { within: 0.25, ..DecisionTerms::default() }).unwrap();
     assert_eq!(wide.within.at, 3.0, "{wide:?}");
 }
 
@@ -33,7 +34,7 @@ fn the_smallest_within_ten_percent_and_what_it_hangs_on() {
 #[test]
 fn the_fall_from_nothing_ends_where_nine_tenths_of_it_are_done() {
     let of = |errors: &[f64], fall| {
-        decisions(&curve(errors, 5), Terms { fall, ..Terms::default() }).unwrap().fall.at
+        decisions(&curve(errors, 5), DecisionTerms { fall, ..DecisionTerms::default() }).unwrap().fall.at
     };
     let errors = [30.0, 20.0, 12.0, 10.9, 10.0];
     assert_eq!([0.9, 0.8, 0.75, 1.0].map(|fall| of(&errors, fall)), [3.0, 2.0, 1.0, 5.0]);
@@ -45,7 +46,7 @@ fn the_fall_from_nothing_ends_where_nine_tenths_of_it_are_done() {
 #[test]
 fn a_sensor_has_its_price() {
     let of = |price| {
-        let terms = Terms { price: Some(price), ..Terms::default() };
+        let terms = DecisionTerms { price: Some(price), ..DecisionTerms::default() };
         decisions(&curve(&[30.0, 20.0, 12.0, 10.9, 10.0], 5), terms).unwrap().priced.unwrap().at
     };
     assert_eq!([0.0, 1.0, 2.0, 9.0, 99.0].map(of), [5.0, 4.0, 3.0, 2.0, 1.0]);
@@ -58,10 +59,10 @@ fn votes_are_split_where_placements_disagree() {
     for o in observations.iter_mut().filter(|o| o.cluster.placement < 2 && o.at == 4.0) {
         o.error *= 0.8;
     }
-    let found = decisions(&observations, Terms::default()).unwrap();
+    let found = decisions(&observations, DecisionTerms::default()).unwrap();
     let [three, four] = [3.0, 4.0].map(|m| found.within.share(m).unwrap());
     assert!(three > 0.3 && four > 0.2 && (three + four - 1.0).abs() < 1e-12, "{found:?}");
-    let few = decisions(&curve(&[30.0, 20.0], 3), Terms::default()).unwrap();
+    let few = decisions(&curve(&[30.0, 20.0], 3), DecisionTerms::default()).unwrap();
     assert_eq!((few.within.votes, &few.over[..]), (None, "no interval, too few units: 3 placements"));
 }
 
@@ -77,7 +78,7 @@ fn a_grid_on_its_way_is_decided_on() {
     let there =
         (0..4).flat_map(|placement| (0..4).map(move |seed| (placement, seed))).filter(|(p, s)| p + s < 4);
     let observations: Vec<Observation> = there.flat_map(of).collect();
-    let found = decisions(&observations, Terms::default()).unwrap();
+    let found = decisions(&observations, DecisionTerms::default()).unwrap();
     let votes: f64 = found.within.votes.unwrap().iter().map(|vote| vote.1).sum();
     assert!((votes - 1.0).abs() < 1e-9 && found.within.at == 2.0, "{votes}");
 }

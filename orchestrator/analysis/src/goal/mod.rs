@@ -63,7 +63,7 @@ pub struct Class {
     /// The most promising candidate.
     pub best: usize,
     /// Its stage.
-    pub stage: Stage,
+    pub stage: CandidateStage,
     /// Expected error (%) of this candidate, and its upper bound with probability `goal.confidence`.
     pub error: [f64; 2],
     /// Probability that a confirmed design meets the requirement on a further seed, else that the candidate will be confirmed.
@@ -76,7 +76,7 @@ pub struct Class {
 
 /// Stage of a candidate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
+pub enum CandidateStage {
     /// Not begun; its error is predicted from other candidates.
     Predicted,
     /// Part of its outer steps; its error is predicted from these and from other candidates.
@@ -106,13 +106,13 @@ pub struct Decision {
 
 /// A search. It uses only results that it has requested, so interruptions and other stored results do not change decisions.
 #[derive(Debug, Clone)]
-pub struct Search {
+pub struct DesignSearch {
     goal: Goal,
     /// The candidates with the requested results.
     shown: Vec<Candidate>,
 }
 
-impl Search {
+impl DesignSearch {
     /// Starts a search; `candidates` have no results.
     pub fn new(goal: &Goal, candidates: impl Iterator<Item = Candidate>) -> Self {
         Self { goal: goal.clone(), shown: candidates.collect() }
@@ -356,13 +356,13 @@ impl<'a> View<'a> {
     }
 
     /// Returns the stage of a candidate.
-    fn stage(&self, i: usize) -> Stage {
+    fn stage(&self, i: usize) -> CandidateStage {
         match (self.judgements[i], self.candidates[i].reached.len()) {
-            (Judgement::None, 0) => Stage::Predicted,
-            (Judgement::None, LEVELS..) => Stage::Trained,
-            (Judgement::None, _) => Stage::Looked,
-            (Judgement::Screened, _) => Stage::Screened,
-            (judgement, _) => Stage::Judged(judgement != Judgement::Failed),
+            (Judgement::None, 0) => CandidateStage::Predicted,
+            (Judgement::None, LEVELS..) => CandidateStage::Trained,
+            (Judgement::None, _) => CandidateStage::Looked,
+            (Judgement::Screened, _) => CandidateStage::Screened,
+            (judgement, _) => CandidateStage::Judged(judgement != Judgement::Failed),
         }
     }
 

@@ -125,8 +125,8 @@ impl Landscape {
     }
 
     /// Runs a search. Returns the last decision and the cost in whole trials. `watch` receives every state of the search.
-    fn search(&mut self, goal: &Goal, mut watch: impl FnMut(&Search)) -> (Decision, f64) {
-        let (mut search, mut cost) = (Search::new(goal, self.trials.clone().into_iter()), 0.0);
+    fn search(&mut self, goal: &Goal, mut watch: impl FnMut(&DesignSearch)) -> (Decision, f64) {
+        let (mut search, mut cost) = (DesignSearch::new(goal, self.trials.clone().into_iter()), 0.0);
         loop {
             let decision = search.follow(&self.trials);
             watch(&search);
@@ -244,7 +244,10 @@ fn the_table_keeps_to_its_definitions() {
                     assert!(members.iter().all(|&i| view.prospects[i] <= class.any), "{class:?}");
                     assert!(class.error[0] <= class.error[1], "{class:?}");
                     let kept = class.error[1] <= goal.error;
-                    assert!(!matches!(class.stage, Stage::Judged(passed) if passed != kept), "{class:?}");
+                    assert!(
+                        !matches!(class.stage, CandidateStage::Judged(passed) if passed != kept),
+                        "{class:?}"
+                    );
                 }
                 let of_classes = view.classes.iter().map(|class| view.any_meets(class));
                 let all: Vec<f64> = view.prospects.iter().copied().chain(of_classes).collect();
@@ -293,7 +296,7 @@ fn kills_and_other_results_change_no_decision() {
     let (end, _) = straight.search(&goal, |_| ());
     assert!(end.chosen.is_some());
     let mut halting = few();
-    let mut search = Search::new(&goal, halting.trials.clone().into_iter());
+    let mut search = DesignSearch::new(&goal, halting.trials.clone().into_iter());
     let last = loop {
         let decision = search.follow(&halting.trials);
         let Some(&(i, work)) = decision.work.last() else { break decision };
@@ -305,7 +308,7 @@ fn kills_and_other_results_change_no_decision() {
         whole.work(&goal, i, Work::Level(LEVELS - 1));
         whole.work(&goal, i, Work::Confirm(0));
     }
-    let mut search = Search::new(&goal, few().trials.into_iter());
+    let mut search = DesignSearch::new(&goal, few().trials.into_iter());
     assert_eq!(search.follow(&whole.trials), Decision { work: Vec::new(), ..end });
 }
 
@@ -316,7 +319,7 @@ fn failures_end_a_search() {
     let mut trials = vec![Candidate { cost: [1.0, 1.0, 1.0], ..Candidate::default() }; 2];
     let follow = |trials: &[Candidate]| {
         let unknown = |c: &Candidate| Candidate { cost: c.cost, ..Candidate::default() };
-        Search::new(&goal, trials.iter().map(unknown)).follow(trials)
+        DesignSearch::new(&goal, trials.iter().map(unknown)).follow(trials)
     };
     let asked = follow(&trials).work;
     assert_eq!(asked, [(0, Work::Level(0))]);

@@ -36,10 +36,10 @@ fn placing_and_training_are_told_apart() {
     let level = &found[0].levels[1];
     let seeds = 24f64.powf(0.25);
     for (searched, body, expected) in [
-        (false, Body::Initial, 20.0),
-        (false, Body::Optimised, 10.0),
-        (true, Body::Initial, 8.0),
-        (true, Body::Optimised, 2.0),
+        (false, BodyState::Initial, 20.0),
+        (false, BodyState::Optimised, 10.0),
+        (true, BodyState::Initial, 8.0),
+        (true, BodyState::Optimised, 2.0),
     ] {
         let error = level.error(searched, body, Set::Holdout).unwrap();
         assert!((error / (expected * seeds) - 1.0).abs() < 1e-12, "{error}");
@@ -50,12 +50,12 @@ fn placing_and_training_are_told_apart() {
     assert!(training.interval.is_some() && training.over == "4 seeds", "{training:?}");
     // geometric mean over seeds: 16 · 2.21/m ≤ 10.5 from m = 4 on (8.85); trained 4 · 2.21/m from m = 1 on (8.85)
     let needed = |searched, body| found[0].needed(searched, body, Set::Holdout, 10.5);
-    let [initial, optimised] = Body::ALL.map(|body| needed(true, body));
+    let [initial, optimised] = BodyState::ALL.map(|body| needed(true, body));
     assert_eq!((initial.sensors, optimised.sensors), (Some(4), Some(1)));
     // errors are 16/m times the seed, 1 to 4: some replicates need fewer sensors, some more than 4
     let (low, high) = initial.range.unwrap();
     assert!(low.unwrap() < 4 && high.is_none(), "{initial}");
-    assert_eq!(needed(false, Body::Initial).to_string(), "–");
+    assert_eq!(needed(false, BodyState::Initial).to_string(), "–");
     // without a search there is no table
     let random: Vec<&Trial> = refs.iter().filter(|t| search(t).is_none()).copied().collect();
     assert!(placed(&random).is_empty());

@@ -3,7 +3,7 @@ use serde_json::json;
 
 #[test]
 fn trials_that_differ_in_their_point_share_the_rest() {
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     let mut of = |seed: u64, columns: u64| {
         settings.of(&json!({"body": {"columns": columns}, "point": {"seed": seed}}))
     };
@@ -22,7 +22,7 @@ fn trials_that_differ_in_their_point_share_the_rest() {
 /// Equal settings and settings of the point are not listed; settings that only some trials have are.
 #[test]
 fn odd_paths_are_those_that_set_trials_apart() {
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     let mut of = |columns: u64, noise: Option<f64>| {
         let noise = noise.map_or(json!({}), |noise| json!({"noise": noise}));
         settings.of(

@@ -1,4 +1,4 @@
-use super::super::trial::UnderReading;
+use super::super::trial::UnderErrors;
 use super::*;
 use crate::Cluster;
 use crate::setting::flatten;
@@ -14,20 +14,20 @@ fn gains_under_other_forces_are_told_against_the_specialists() {
         for (kind, errors) in [("bell", [1.0, 16.0]), ("irregular", [8.0, 1.0]), ("mix", [4.0, 2.0])] {
             let spec = json!({"stimuli": {"kind": kind}, "point": {"panels": 2, "sensors": 1, "seed": seed}});
             let read = |body, own, errors: [f64; 2]| {
-                ["bell", "irregular"].into_iter().zip(errors).map(move |(stimuli, error)| UnderReading {
+                ["bell", "irregular"].into_iter().zip(errors).map(move |(stimuli, error)| UnderErrors {
                     body,
                     stimuli: stimuli.into(),
                     own,
                     error: factor * error,
-                    median: Some(factor * if body == Body::Initial { 4.0 } else { error }),
+                    median: Some(factor * if body == BodyState::Initial { 4.0 } else { error }),
                 })
             };
-            let carried = read(Body::Optimised, false, errors.map(|error| 2.0 * error));
+            let carried = read(BodyState::Optimised, false, errors.map(|error| 2.0 * error));
             trials.push(Trial {
                 setting: flatten(&spec).into_iter().collect(),
                 cluster: Cluster { placement: 0, seed },
-                under: read(Body::Initial, true, [16.0; 2])
-                    .chain(read(Body::Optimised, true, errors))
+                under: read(BodyState::Initial, true, [16.0; 2])
+                    .chain(read(BodyState::Optimised, true, errors))
                     .chain(carried)
                     .collect(),
                 ..Trial::default()

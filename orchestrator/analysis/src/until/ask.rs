@@ -12,7 +12,7 @@ use super::looks::Looks;
 
 /// A question.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Question {
+pub enum UntilQuestion {
     /// Ratio of the initial to the trained body's error, until the width of its interval is at most this fraction of it.
     Paired(f64),
     /// Smallest M whose error on the trained body exceeds that of the best M by at most this fraction.
@@ -27,7 +27,7 @@ pub enum Question {
 
 /// An answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Answer {
+pub enum UntilAnswer {
     /// A ratio and the ends of its interval.
     Ratio([f64; 3]),
     /// A number of sensors; `None`: there is none.
@@ -36,7 +36,7 @@ pub enum Answer {
     Falls(bool),
 }
 
-impl fmt::Display for Question {
+impl fmt::Display for UntilQuestion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Paired(width) => write!(f, "gain to a relative width of {width}"),
@@ -48,7 +48,7 @@ impl fmt::Display for Question {
     }
 }
 
-impl fmt::Display for Answer {
+impl fmt::Display for UntilAnswer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Ratio([ratio, low, high]) => write!(f, "{ratio:.3} ({low:.3} … {high:.3})"),
@@ -85,7 +85,7 @@ impl MeanBound {
     }
 }
 
-impl Question {
+impl UntilQuestion {
     /// Returns the questions of a spec, in order.
     pub(super) fn all(until: &Until) -> Vec<Self> {
         let asked = [
@@ -120,7 +120,7 @@ impl Question {
 
     /// Returns the answer of one look, which is wrong with probability `chance` at most over all looks; `None` if it is still
     /// open.
-    pub(super) fn answer(&self, look: &Curves, chance: f64, looks: &mut Looks) -> Option<Answer> {
+    pub(super) fn answer(&self, look: &Curves, chance: f64, looks: &mut Looks) -> Option<UntilAnswer> {
         let count = look.places.len();
         match *self {
             Self::Paired(width) => {
@@ -130,18 +130,20 @@ impl Question {
                 };
                 let MeanBound { mean, half } = look.contrast(ratio, 0.5 * chance, looks);
                 let settled = half.exp() - (-half).exp() <= width;
-                settled.then(|| Answer::Ratio([mean, mean - half, mean + half].map(f64::exp)))
+                settled.then(|| UntilAnswer::Ratio([mean, mean - half, mean + half].map(f64::exp)))
             }
-            Self::Within(part) => look.within(part.ln_1p(), chance, looks).map(|m| Answer::Sensors(Some(m))),
-            Self::Elbow => look.elbow(chance, looks).map(Answer::Sensors),
-            Self::Fewer => look.fewer(chance, looks).map(Answer::Sensors),
+            Self::Within(part) => {
+                look.within(part.ln_1p(), chance, looks).map(|m| UntilAnswer::Sensors(Some(m)))
+            }
+            Self::Elbow => look.elbow(chance, looks).map(UntilAnswer::Sensors),
+            Self::Fewer => look.fewer(chance, looks).map(UntilAnswer::Sensors),
             Self::Complexity => {
                 let logs: Vec<f64> = look.places.iter().map(|n| n.ln()).collect();
                 let middle = logs.iter().sum::<f64>() / count as f64;
                 let slope = |unit: &[f64]| unit.iter().zip(&logs).map(|(y, x)| y * (x - middle)).sum();
                 let slope = look.contrast(slope, 0.5 * chance, looks);
                 let told = slope.is_above(0.0) || slope.is_below(0.0);
-                told.then_some(Answer::Falls(slope.mean < 0.0))
+                told.then_some(UntilAnswer::Falls(slope.mean < 0.0))
             }
         }
     }

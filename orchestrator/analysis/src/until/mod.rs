@@ -12,22 +12,22 @@ mod looks;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 
-use metasense_schemas::record::Trial as Planned;
+use metasense_schemas::record::PlannedTrial as Planned;
 use metasense_schemas::spec::{Until, flatten};
 
 use super::data::{COMPLEXITY, SENSORS, groups, places};
 use super::resample::LEAST_UNITS;
-use super::{Body, Cluster, Observation, Set, Trial};
+use super::{BodyState, Cluster, Observation, Set, Trial};
 
 use ask::Curves;
-pub use ask::{Answer, Question};
+pub use ask::{UntilAnswer, UntilQuestion};
 use looks::Looks;
 
 /// State of a question in one setting of the sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Standing {
     /// The question.
-    pub question: Question,
+    pub question: UntilQuestion,
     /// The setting: K, body, decoder.
     pub setting: String,
     /// Number of units with a result, and of units of the grid.
@@ -35,7 +35,7 @@ pub struct Standing {
     /// `placements` or `seeds`.
     pub of: &'static str,
     /// The answer, and the number of units that it needed.
-    pub answer: Option<(Answer, usize)>,
+    pub answer: Option<(UntilAnswer, usize)>,
 }
 
 impl fmt::Display for Standing {
@@ -67,7 +67,7 @@ impl Decision {
 
 /// A question in one setting, with the trials of each unit.
 struct SettingQuestion {
-    question: Question,
+    question: UntilQuestion,
     setting: String,
     of: &'static str,
     /// Values of M or of the number of design parameters.
@@ -82,9 +82,9 @@ fn setting_questions(until: &Until, trials: &[Trial]) -> Vec<SettingQuestion> {
     let numbers: HashMap<*const Trial, usize> =
         trials.iter().enumerate().map(|(i, trial)| (std::ptr::from_ref(trial), i)).collect();
     let mut found = Vec::new();
-    for question in Question::all(until) {
+    for question in UntilQuestion::all(until) {
         let (but, at): (_, fn(&Trial) -> u64) = match question {
-            Question::Complexity => (COMPLEXITY, |t| t.design_parameters),
+            UntilQuestion::Complexity => (COMPLEXITY, |t| t.design_parameters),
             _ => (SENSORS, |t| t.sensors),
         };
         for group in groups(&refs, but) {
@@ -122,9 +122,9 @@ fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
 }
 
 /// Returns the first question that no setting of the plan can answer.
-pub fn unanswerable(until: &Until, plan: &[Planned]) -> Option<Question> {
+pub fn unanswerable(until: &Until, plan: &[Planned]) -> Option<UntilQuestion> {
     let found = setting_questions(until, &plan.iter().map(planned).collect::<Vec<_>>());
-    Question::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
+    UntilQuestion::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
 }
 
 /// Converts a planned trial, without results.
@@ -203,7 +203,7 @@ fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> De
 /// Returns ln e of a unit by place, first on the trained body, then on the initial one; means over its trials. `None` if an
 /// error is missing.
 fn curve(unit: &[(usize, f64)], places: &[f64], trials: &[Trial]) -> Option<Vec<f64>> {
-    let mean = |body: Body, place: f64| -> Option<f64> {
+    let mean = |body: BodyState, place: f64| -> Option<f64> {
         let here = unit.iter().filter(|(_, at)| *at == place);
         let logs: Option<Vec<f64>> =
             here.map(|(trial, _)| trials[*trial].error(body, Set::Holdout).map(f64::ln)).collect();
@@ -211,18 +211,18 @@ fn curve(unit: &[(usize, f64)], places: &[f64], trials: &[Trial]) -> Option<Vec<
         Some(logs.iter().sum::<f64>() / logs.len() as f64)
     };
     let all = |body| places.iter().map(move |place| mean(body, *place));
-    all(Body::Optimised).chain(all(Body::Initial)).collect()
+    all(BodyState::Optimised).chain(all(BodyState::Initial)).collect()
 }
 
 /// Returns the first answer, which is wrong with probability `chance` at most, and the number of units that it needed. Units
 /// without a curve are skipped.
 fn settle(
-    question: Question,
+    question: UntilQuestion,
     curves: &[Option<Vec<f64>>],
     places: &[f64],
     chance: f64,
     looks: &mut Looks,
-) -> Option<(Answer, usize)> {
+) -> Option<(UntilAnswer, usize)> {
     let mut known = Vec::new();
     for (passed, curve) in (1..).zip(curves) {
         let Some(curve) = curve else { continue };

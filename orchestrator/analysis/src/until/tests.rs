@@ -42,7 +42,7 @@ fn decisions_hang_on_leading_results_alone() {
     let took: Vec<usize> = whole.standings.iter().map(|s| s.answer.unwrap().1).collect();
     let most = *took.iter().max().unwrap();
     assert!(most < 12 && whole.wanted == (0..4 * most).collect::<Vec<_>>(), "{whole:?}");
-    assert_eq!(whole.standings[1].answer.unwrap().0, Answer::Sensors(Some(3.0)));
+    assert_eq!(whole.standings[1].answer.unwrap().0, UntilAnswer::Sensors(Some(3.0)));
     for units in 4..12 {
         let part = decide(&until(), &trials, &known(units), 1);
         for (part, whole) in part.standings.iter().zip(&whole.standings) {

@@ -10,8 +10,8 @@ use metasense_lab::verify::relative;
 use metasense_numerics::Pool;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Method, Outcome, Panel, Plan, Precision, Scene, Simulation, Solver, Tolerance,
-    Wrt, highest_frequency, repeat_kernel, run, signal_error, tune,
+    Accuracy, EdgeContact, Forces, IntegrationPlan, Integrator, IntegratorSettings, Outcome, Panel,
+    Precision, Scene, Simulation, Tolerance, Wrt, highest_frequency, repeat_kernel, run, signal_error, tune,
 };
 use metasense_worker::clock::cpu_seconds;
 use metasense_worker::reference::{bells, reference};
@@ -54,7 +54,7 @@ impl BenchScene {
                 scene.panels = [25, 28, 30].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec();
                 scene.sensors = vec![20, 11];
                 let [min_angle, cutoff_angle] = [1.0, 30.0].map(f64::to_radians);
-                scene.contact = Some(Contact { stiffness: 1.0, min_angle, cutoff_angle });
+                scene.contact = Some(EdgeContact { stiffness: 1.0, min_angle, cutoff_angle });
             }
             Self::Stretch100 => scene.stiffness.stretch *= 1e2,
             Self::Stretch10000 => scene.stiffness.stretch *= 1e4,
@@ -80,11 +80,11 @@ fn truth(kind: BenchScene) -> f64 {
 /// The same for the points of a method with equal steps.
 ///
 /// On the stiffest scene long steps suffice: leapfrog's error stays that of the oscillations that it does not resolve.
-fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
+fn ladder(kind: BenchScene, method: Integrator) -> &'static [f64] {
     match (method, kind) {
-        (Method::Leapfrog, BenchScene::Stretch10000) => &[1.4, 0.7],
-        (Method::Leapfrog, _) => &[1.4, 0.7, 0.35, 0.18, 0.09],
-        (Method::Nystrom4, _) => &[0.6, 0.42, 0.3, 0.21, 0.15],
+        (Integrator::Leapfrog, BenchScene::Stretch10000) => &[1.4, 0.7],
+        (Integrator::Leapfrog, _) => &[1.4, 0.7, 0.35, 0.18, 0.09],
+        (Integrator::Nystrom4, _) => &[0.6, 0.42, 0.3, 0.21, 0.15],
         _ => &[0.5, 0.4, 0.3, 0.22],
     }
 }
@@ -137,7 +137,7 @@ impl Subject {
         self.cotangent = signals.iter().enumerate().map(|(i, x)| x * scale(i % channels)).collect();
     }
 
-    fn simulate(&self, plan: &Plan, pool: &Pool) -> (Simulation, Time) {
+    fn simulate(&self, plan: &IntegrationPlan, pool: &Pool) -> (Simulation, Time) {
         timed(|| run(&self.scene, &self.design, &self.forces, plan, true, pool))
     }
 
@@ -147,15 +147,15 @@ impl Subject {
     }
 
     /// Steps per interval for one force evaluation per `radians` of the highest mode.
-    fn steps(&self, method: Method, radians: f64) -> usize {
+    fn steps(&self, method: Integrator, radians: f64) -> usize {
         let interval = self.scene.duration / self.scene.instants as f64;
         let stages = method.stages().expect("equal steps") as f64;
         (highest_frequency(&self.scene, &self.design) * interval / (radians * stages)).ceil() as usize
     }
 
     /// A plan in f64 with one force evaluation per `radians` of the highest mode.
-    fn plan(&self, method: Method, radians: f64) -> Plan {
-        Plan::equal(method, self.steps(method, radians))
+    fn plan(&self, method: Integrator, radians: f64) -> IntegrationPlan {
+        IntegrationPlan::equal(method, self.steps(method, radians))
     }
 }
 
@@ -163,12 +163,12 @@ impl Subject {
 pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<Vec<Value>> {
     let pool = pool(1, width());
     let mut subject = Subject::new(kind.scene(), samples, instants);
-    let plan = subject.plan(Method::Nystrom6, truth(kind));
+    let plan = subject.plan(Integrator::Nystrom6, truth(kind));
     let simulation = subject.simulate(&plan, &pool).0;
     subject.differentiate(&simulation.signals);
     let truth = subject.gradient(&simulation, &pool).0;
     let mut points = Vec::new();
-    let mut measure = |plan: &Plan, setting: String, auto: bool| {
+    let mut measure = |plan: &IntegrationPlan, setting: String, auto: bool| {
         let (run, forward) = subject.simulate(plan, &pool);
         let (gradient, reverse) = subject.gradient(&run, &pool);
         let failed = run.outcomes.iter().filter(|o| **o != Outcome::Ok).count();
@@ -193,20 +193,24 @@ pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<
         ]);
     };
     for &tolerance in kind.tolerances() {
-        measure(&Plan::tsit5(Tolerance::both(tolerance)), format!("tolerance {tolerance:.0e}"), false);
+        measure(
+            &IntegrationPlan::tsit5(Tolerance::both(tolerance)),
+            format!("tolerance {tolerance:.0e}"),
+            false,
+        );
     }
-    for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
+    for method in [Integrator::Leapfrog, Integrator::Nystrom4, Integrator::Nystrom6] {
         for &at in ladder(kind, method) {
             let plan = subject.plan(method, at);
             measure(&plan, format!("{} steps", plan.steps.count()), false);
         }
     }
-    for &at in ladder(kind, Method::Nystrom4) {
-        let plan = Plan { precision: Precision::Single, ..subject.plan(Method::Nystrom4, at) };
+    for &at in ladder(kind, Integrator::Nystrom4) {
+        let plan = IntegrationPlan { precision: Precision::Single, ..subject.plan(Integrator::Nystrom4, at) };
         measure(&plan, format!("{} steps in f32", plan.steps.count()), false);
     }
     for error in [3e-2, 1e-2, 1e-3, 1e-4] {
-        let solver = Solver::new(Method::Auto, Accuracy(error));
+        let solver = IntegratorSettings::new(Integrator::Auto, Accuracy(error));
         let plan = tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool).plan;
         let precision = if plan.precision == Precision::Single { " in f32" } else { "" };
         let setting = format!("auto {error:.0e}: {} steps{precision}", plan.steps.count());
@@ -229,12 +233,12 @@ const KERNELS: usize = 10_000;
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Vec<Value>> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
-    for (method, asked) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3), (Method::Auto, 3e-2)] {
+    for (method, asked) in [(Integrator::Tsit5, 1e-6), (Integrator::Auto, 1e-3), (Integrator::Auto, 3e-2)] {
         // Tuned outside the timing, because a trial tunes once before hundreds of simulations.
         let plan = match method {
-            Method::Tsit5 => Plan::tsit5(Tolerance::both(asked)),
+            Integrator::Tsit5 => IntegrationPlan::tsit5(Tolerance::both(asked)),
             _ => {
-                let solver = Solver::new(method, Accuracy(asked));
+                let solver = IntegratorSettings::new(method, Accuracy(asked));
                 tune(&subject.scene, &subject.design, &subject.forces, &solver, &pool(1, width())).plan
             }
         };
@@ -242,7 +246,7 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
         if threads > 1 {
             rows.push((threads, width()));
         }
-        if method == Method::Auto {
+        if method == Integrator::Auto {
             rows.extend(widths().skip(1).map(|width| (1, width)));
         }
         for (threads, width) in rows {

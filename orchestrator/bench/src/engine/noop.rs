@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use metasense_numerics::Heartbeat;
 use metasense_schemas::reason::Cause;
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
-use metasense_worker::run::{Control, Failure, Observe};
+use metasense_schemas::record::{BodyRecord, Checkpoint, NetworkRecord, StepRecord, TrialResult};
+use metasense_worker::run::{LoopControl, NoResult, ObserveTrial};
 use serde::{Deserialize, Serialize};
 
 /// The job of a no-op trial.
@@ -45,16 +45,16 @@ pub fn perform(
     checkpoint: Option<Checkpoint>,
     _threads: usize,
     _heartbeat: Heartbeat,
-    observer: &mut dyn Observe,
-) -> Result<TrialResult, Failure> {
-    let noop: Noop = serde_json::from_str(job).map_err(|error| Failure::Rejected(error.to_string()))?;
+    observer: &mut dyn ObserveTrial,
+) -> Result<TrialResult, NoResult> {
+    let noop: Noop = serde_json::from_str(job).map_err(|error| NoResult::Rejected(error.to_string()))?;
     let step_length = Duration::from_millis(noop.millis.into());
     let mut state =
         checkpoint.unwrap_or_else(|| Checkpoint { design: vec![mixed(noop.seed)], ..Default::default() });
     match noop.fault {
-        Some(Fault::Reject) => return Err(Failure::Rejected("a no-op trial that is to be refused".into())),
+        Some(Fault::Reject) => return Err(NoResult::Rejected("a no-op trial that is to be refused".into())),
         Some(Fault::Short) => {
-            return Err(Failure::Shortage("of what a no-op trial is to be short of".into()));
+            return Err(NoResult::Shortage("of what a no-op trial is to be short of".into()));
         }
         Some(Fault::Hang) => loop {
             std::thread::park();
@@ -65,7 +65,7 @@ pub fn perform(
         }
         Some(Fault::NonFinite) => {
             let detail = "a no-op trial that is to fail".into();
-            return Err(Failure::Numerical { cause: Cause::NonFinite, detail });
+            return Err(NoResult::Numerical { cause: Cause::NonFinite, detail });
         }
         None => {}
     }
@@ -85,13 +85,13 @@ pub fn perform(
             outcome: "ok".into(),
             ..Default::default()
         };
-        if observer.step(record, state.clone()) == Control::Stop && state.step < noop.steps {
-            return Err(Failure::Stopped);
+        if observer.step(record, state.clone()) == LoopControl::Stop && state.step < noop.steps {
+            return Err(NoResult::Stopped);
         }
     }
-    let evaluation = |design: f64, array: u64| BodyEvaluation {
+    let evaluation = |design: f64, array: u64| BodyRecord {
         design: std::iter::once(design).chain((0..array).map(|n| (noop.seed + n) as f64)).collect(),
-        networks: vec![NetworkEvaluation {
+        networks: vec![NetworkRecord {
             error_test: Some(100.0 * design),
             error_holdout: Some(100.0 * design),
             outcome: "ok".into(),

@@ -3,7 +3,7 @@
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::clock::cpu_seconds;
-use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
+use metasense_worker::run::{LoopControl, NoResult, ObserveTrial, pool, run_trial};
 
 /// A design during a trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,12 +23,12 @@ pub struct Milestone {
 ///
 /// # Errors
 /// As `run_trial`.
-pub fn course(trial: &TrialSpec, seconds: &[f64], threads: usize) -> Result<Vec<Milestone>, Failure> {
+pub fn course(trial: &TrialSpec, seconds: &[f64], threads: usize) -> Result<Vec<Milestone>, NoResult> {
     let steps = trial.optimise.steps() as u32;
     let mut keeper =
         Keeper { start: cpu_seconds(), due: seconds, steps, fresh_samples: 0, milestones: Vec::new() };
     match pool(threads).and_then(|pool| run_trial(trial, None, &pool, &mut keeper)) {
-        Ok(_) | Err(Failure::Stopped) => Ok(keeper.milestones),
+        Ok(_) | Err(NoResult::Stopped) => Ok(keeper.milestones),
         Err(failure) => Err(failure),
     }
 }
@@ -41,14 +41,14 @@ struct Keeper<'a> {
     milestones: Vec<Milestone>,
 }
 
-impl Observe for Keeper<'_> {
-    fn progress(&mut self) -> Control {
-        Control::Continue
+impl ObserveTrial for Keeper<'_> {
+    fn progress(&mut self) -> LoopControl {
+        LoopControl::Continue
     }
 
     fn save(&mut self, _: Checkpoint) {}
 
-    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
+    fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> LoopControl {
         let seconds = cpu_seconds() - self.start;
         self.fresh_samples += record.fresh_samples;
         let passed = self.due.iter().filter(|&&due| due <= seconds).count();
@@ -59,6 +59,6 @@ impl Observe for Keeper<'_> {
             self.milestones.push(Milestone { seconds, step: checkpoint.step, fresh_samples, design });
             self.due = &self.due[passed..];
         }
-        if ended { Control::Stop } else { Control::Continue }
+        if ended { LoopControl::Stop } else { LoopControl::Continue }
     }
 }

@@ -6,7 +6,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 use std::time::Duration;
 
-use metasense_schemas::record::Trial;
+use metasense_schemas::record::PlannedTrial;
 
 use super::queued::submit_shards;
 use super::{Args, Program, launch_config, note_here, prepare, print};
@@ -14,7 +14,7 @@ use crate::analysis::until::TrialErrors;
 use crate::cli::results::Results;
 use crate::cli::{Error, Format, design, run};
 use crate::cluster::home::attempts;
-use crate::cluster::merge::{Extent, Kind, merge};
+use crate::cluster::merge::{Extent, FindingKind, merge};
 use crate::cluster::places::{self, HostSlot};
 use crate::cluster::queue::{self, Job, Notes, Queue, QueueError};
 use crate::cluster::submit::Submission;
@@ -24,7 +24,7 @@ use crate::exit::Exit;
 use crate::plan::{Plan, counted};
 use crate::reader::Reader;
 use crate::rounds::{self, Runs};
-use crate::scheduler::Outcome;
+use crate::scheduler::RunOutcome;
 use crate::signals::Signals;
 use crate::store::Store;
 
@@ -68,7 +68,7 @@ pub(super) async fn execute(
     }
     // shards that an earlier `submit` left running
     let outcome = match shards.wait().await? {
-        false => Some(Outcome::Interrupted),
+        false => Some(RunOutcome::Interrupted),
         true => {
             shards.gather().await?;
             match &space {
@@ -77,7 +77,7 @@ pub(super) async fn execute(
             }
         }
     };
-    let outcome = outcome.unwrap_or(Outcome::Complete);
+    let outcome = outcome.unwrap_or(RunOutcome::Complete);
     match space {
         Some(space) => design::end(&db, plan, space, Format::default(), outcome).await,
         None => {
@@ -124,10 +124,10 @@ impl Runs for Shards<'_> {
         Ok(()) // `submit` refuses --retry-failed with rounds
     }
 
-    async fn run(&mut self, trials: &[Trial], _: RerunPolicy) -> Result<Option<Outcome>, Error> {
+    async fn run(&mut self, trials: &[PlannedTrial], _: RerunPolicy) -> Result<Option<RunOutcome>, Error> {
         let settled: HashSet<String> =
             self.trial_results().await?.into_iter().map(|found| found.hash).collect();
-        let open: Vec<Trial> =
+        let open: Vec<PlannedTrial> =
             trials.iter().filter(|trial| !settled.contains(&trial.hash)).cloned().collect();
         if open.is_empty() {
             say!("nothing left to do: {} settled", counted(trials.len(), "trial"));
@@ -153,12 +153,12 @@ impl Runs for Shards<'_> {
         };
         self.gather().await?;
         if !goes_on {
-            return Ok(Some(Outcome::Interrupted));
+            return Ok(Some(RunOutcome::Interrupted));
         }
         if self.progress().await? == before {
             return Err(Error::Shards { folder, shards: ranges(&self.submission.which) });
         }
-        Ok(Some(Outcome::Complete))
+        Ok(Some(RunOutcome::Complete))
     }
 
     fn is_stopping(&self) -> bool {
@@ -198,7 +198,7 @@ impl Shards<'_> {
         for (file, why) in &summary.refused {
             say!("refused: {}: {why}", file.display());
         }
-        for finding in summary.findings.iter().filter(|finding| finding.kind == Kind::Bits) {
+        for finding in summary.findings.iter().filter(|finding| finding.kind == FindingKind::Bits) {
             say!("results of trial {} disagree: {}", finding.hash, finding.what);
         }
         Ok(())

@@ -4,7 +4,7 @@ use metasense_schemas::record::Parts;
 
 use super::*;
 
-fn trials(costs: &[f64]) -> Vec<Trial> {
+fn trials(costs: &[f64]) -> Vec<PlannedTrial> {
     let spec = crate::plan::Plan::new("s.toml", SPEC.into()).unwrap().trials.swap_remove(0);
     let hash = |i: usize| format!("{:016x}", (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     costs
@@ -13,7 +13,7 @@ fn trials(costs: &[f64]) -> Vec<Trial> {
         .map(|(i, &cost)| {
             let of = |cost: f64| (cost, 1 + (cost * 1e3) as u64);
             let [(steps, steps_weigh), (comparison, comparison_weighs)] = [of(0.7 * cost), of(0.3 * cost)];
-            Trial {
+            PlannedTrial {
                 hash: hash(i),
                 training: hash(i),
                 cost: Parts { steps, comparison },
@@ -29,7 +29,7 @@ const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\
     samples = 8\ntest = 2\n[sweep]\npanels = [2]\nsensors = [1]\n";
 
 /// Largest load divided by the mean.
-fn ratio(assignment: &Assignment, trials: &[Trial]) -> f64 {
+fn ratio(assignment: &Assignment, trials: &[PlannedTrial]) -> f64 {
     let costs = assignment.costs(trials);
     costs.iter().copied().fold(0.0, f64::max) * costs.len() as f64 / costs.iter().sum::<f64>()
 }
@@ -64,10 +64,10 @@ proptest! {
 }
 
 /// Groups trials so that each `each` share a body.
-fn readers(mut trials: Vec<Trial>, each: usize) -> Vec<Trial> {
-    let firsts: Vec<Trial> = trials.chunks(each).map(|group| group[0].clone()).collect();
+fn readers(mut trials: Vec<PlannedTrial>, each: usize) -> Vec<PlannedTrial> {
+    let firsts: Vec<PlannedTrial> = trials.chunks(each).map(|group| group[0].clone()).collect();
     for (i, trial) in trials.iter_mut().enumerate() {
-        let Trial { training, cost, weight, .. } = firsts[i / each].clone();
+        let PlannedTrial { training, cost, weight, .. } = firsts[i / each].clone();
         (trial.training, trial.cost, trial.weight) = (training, cost, weight);
     }
     trials
@@ -85,7 +85,7 @@ proptest! {
         each in 1_usize..12,
     ) {
         let all = readers(trials(&logs.iter().map(|x| x.exp()).collect::<Vec<_>>()), each);
-        let some: Vec<Trial> = all.iter().enumerate().filter(|(i, _)| i % each < each.div_ceil(2)).map(|(_, t)| t.clone()).collect();
+        let some: Vec<PlannedTrial> = all.iter().enumerate().filter(|(i, _)| i % each < each.div_ceil(2)).map(|(_, t)| t.clone()).collect();
         let folder = tempfile::tempdir().unwrap();
         for dealt in [&some, &all] {
             let assignment = Assignment::in_folder(folder.path(), dealt, shards).unwrap();

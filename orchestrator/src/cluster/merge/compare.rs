@@ -12,9 +12,9 @@ use crate::cluster::Shard;
 
 /// A finding about a discarded copy.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Finding {
+pub struct MergeFinding {
     /// Its kind.
-    pub kind: Kind,
+    pub kind: FindingKind,
     /// The trial.
     pub hash: String,
     /// File of the kept copy.
@@ -27,7 +27,7 @@ pub struct Finding {
 
 /// Kinds of findings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum FindingKind {
     /// Checkpoints or arrays whose checksums do not match.
     Damaged,
     /// Results differ despite equal instruction sets.
@@ -38,7 +38,7 @@ pub enum Kind {
     LeftOut,
 }
 
-impl Kind {
+impl FindingKind {
     /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
@@ -118,7 +118,7 @@ pub(super) async fn damaged(
     let rows: Vec<(String, i64, i64, String)> = sqlx::query_as(sql).fetch_all(out).await?;
     for (hash, input, kept, what) in rows {
         let [other, kept] = [input, kept].map(|i| inputs[i as usize].named.clone());
-        summary.findings.push(Finding { kind: Kind::Damaged, hash, kept, other, what });
+        summary.findings.push(MergeFinding { kind: FindingKind::Damaged, hash, kept, other, what });
     }
     Ok(())
 }
@@ -156,7 +156,7 @@ pub(super) async fn compare(
         let ([state, kept_state], [reason, kept_reason]) = (&copied.states, &copied.reasons);
         let mut finding = |kind, what| {
             let (kept, other) = (inputs[*kept as usize].named.clone(), inputs[input].named.clone());
-            summary.findings.push(Finding { kind, hash: hash.clone(), kept, other, what });
+            summary.findings.push(MergeFinding { kind, hash: hash.clone(), kept, other, what });
         };
         match (state.as_str(), kept_state.as_str()) {
             _ if copied.contained && copied.redone => summary.covered += 1,
@@ -165,20 +165,23 @@ pub(super) async fn compare(
             (_, kept_state) if copied.contained || state == "done" && kept_state == "done" => {
                 match differing(out, &tables, &copied).await?.as_str() {
                     "" => summary.covered += 1,
-                    names => finding(Kind::Bits, names.to_owned()),
+                    names => finding(FindingKind::Bits, names.to_owned()),
                 }
             }
             ("failed", "done") => finding(
-                Kind::Outcome,
+                FindingKind::Outcome,
                 format!("failed in the discarded copy ({reason}), done in the kept copy"),
             ),
             ("done", _) => finding(
-                Kind::Outcome,
+                FindingKind::Outcome,
                 format!("done in the discarded copy, {kept_state} ({kept_reason}) in the kept copy"),
             ),
             _ => {
                 let because = if reason.is_empty() { String::new() } else { format!(" ({reason})") };
-                finding(Kind::LeftOut, format!("{state}{because}: {attempts} attempts with {steps} steps"));
+                finding(
+                    FindingKind::LeftOut,
+                    format!("{state}{because}: {attempts} attempts with {steps} steps"),
+                );
             }
         }
     }

@@ -22,7 +22,7 @@ use crate::files;
 use crate::leftovers;
 use crate::reader;
 use crate::store::{self, StoreError};
-pub use compare::{Finding, Kind};
+pub use compare::{FindingKind, MergeFinding};
 pub use contains::contains;
 pub(super) use input::snapshot;
 use input::{Input, InputError};
@@ -52,7 +52,7 @@ pub struct Summary {
     /// Number of discarded copies with other instruction sets, whose results were not compared.
     pub not_compared: usize,
     /// Discarded data and differences.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<MergeFinding>,
     /// Shards without a run in any database: (sweep, number of shards, missing ones).
     pub missing: Vec<(String, u32, Vec<u32>)>,
 }

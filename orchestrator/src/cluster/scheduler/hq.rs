@@ -5,7 +5,7 @@ use serde_json::Value;
 use super::own::NO_MERGE_JOB;
 use super::{QueueCommands, Scheduler, SubmitOption};
 use crate::cluster::queue::{Job, Queue, QueueError, numbers, output};
-use crate::cluster::submit::{ABOUT, Array, Submission, words};
+use crate::cluster::submit::{ABOUT, JobArray, Submission, words};
 use crate::cluster::{Shard, ranges};
 
 /// The scheduler.
@@ -53,7 +53,7 @@ impl QueueCommands for Hq {
         Shard::MOST
     }
 
-    fn submit_shards(&self, submission: &Submission, array: &Array, name: &str) -> Vec<String> {
+    fn submit_shards(&self, submission: &Submission, array: &JobArray, name: &str) -> Vec<String> {
         let script = submission.folder.join("shard.sh").display().to_string();
         let indices = ranges(&array.indices);
         let (cpus, limit) = (submission.limits.cpus.to_string(), format!("{}s", submission.limits.seconds));

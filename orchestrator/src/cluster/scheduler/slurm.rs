@@ -3,7 +3,7 @@
 use super::{QueueCommands, Scheduler, SubmitOption};
 use crate::cluster::queue::{Job, Queue, QueueError, numbers, output};
 use crate::cluster::ranges;
-use crate::cluster::submit::{ABOUT, Array, MERGE, ShardLimits, Submission, words};
+use crate::cluster::submit::{ABOUT, JobArray, MERGE, ShardLimits, Submission, words};
 use crate::exit::Exit;
 
 /// Default `MaxArraySize`: one more than the largest array index.
@@ -98,7 +98,7 @@ impl QueueCommands for Slurm {
         clusters_of(options).or_else(|| std::env::var("SBATCH_CLUSTERS").ok())
     }
 
-    fn submit_shards(&self, submission: &Submission, array: &Array, name: &str) -> Vec<String> {
+    fn submit_shards(&self, submission: &Submission, array: &JobArray, name: &str) -> Vec<String> {
         let script = submission.folder.join("shard.sh").display().to_string();
         let throttle = submission.queue.at_most.map_or(String::new(), |most| format!("%{most}"));
         let which = format!("--array={}{throttle}", ranges(&array.indices));

@@ -13,8 +13,8 @@ use metasense_lab::replay::{
     Convolution, Integers, Replay, ReplayDecoder, SinglePrecision, holdout_error, layers,
 };
 
-use super::{Fit, unreadable};
-use crate::analysis::Body;
+use super::{FitData, unreadable};
+use crate::analysis::BodyState;
 use crate::reader::StoredTrial;
 use crate::store::StoreError;
 
@@ -63,7 +63,7 @@ impl Numbers {
 pub fn c(
     stored: &StoredTrial,
     body: usize,
-    fit: Fit,
+    fit: FitData,
     (replay, own): &(Replay, ReplayDecoder),
     numbers: Numbers,
 ) -> Result<String, StoreError> {
@@ -108,8 +108,8 @@ pub fn c(
    On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds per reading.
    To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 ",
-        of = if fit == Fit::Casts { "for all casts of " } else { "of " },
-        name = Body::ALL[body].word(),
+        of = if fit == FitData::Casts { "for all casts of " } else { "of " },
+        name = BodyState::ALL[body].word(),
         hash = stored.hash,
         version = env!("CARGO_PKG_VERSION"),
         late = delay as f64 * interval,

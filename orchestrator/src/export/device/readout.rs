@@ -4,11 +4,11 @@ use std::fmt::Write;
 
 use metasense_lab::capacity::hold;
 use metasense_lab::tasks::{Readout, TaskReadouts, readouts};
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 
 use super::super::unreadable;
 use super::{Numbers, floats, whole};
-use crate::analysis::Body;
+use crate::analysis::BodyState;
 use crate::reader::StoredTrial;
 use crate::store::StoreError;
 
@@ -72,7 +72,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
     let tested: Vec<(usize, &[f64])> = records.filter(has_window).take(TESTED).collect();
     if tested.is_empty() {
         let why = "after contact, no held-out sample is as long as brain.window: shorten it, or lengthen time.duration";
-        return Err(unreadable(stored)(Failure::Rejected(why.into())));
+        return Err(unreadable(stored)(NoResult::Rejected(why.into())));
     }
     // a body that still moves has no quiet period of its first natural frequency; without one, a sample's duration
     let rest = if triggered { hold(spec).map_or(instants, |quarter| 4 * quarter).max(*window) } else { 0 };
@@ -118,7 +118,7 @@ pub fn c(stored: &StoredTrial, body: usize, numbers: Numbers, threads: usize) ->
 #define OUTPUTS {outputs}
 
 ",
-        name = Body::ALL[body].word(),
+        name = BodyState::ALL[body].word(),
         hash = stored.hash,
         version = env!("CARGO_PKG_VERSION"),
         interval = spec.time.duration / spec.time.samples as f64,

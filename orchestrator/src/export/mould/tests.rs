@@ -54,7 +54,7 @@ fn chips_have_their_pockets() {
     });
     assert!((bare - own - 2.0 * 5.0 * 4.0 * 2.5).abs() < 1e-3, "{own} {bare}");
     let refused = plain.with_inserts(&drawing, &with([9.0, 4.0, 2.5]), [0.0; 2], 0.0).unwrap_err();
-    assert!(matches!(refused, super::super::outline::Invalid::Pocket { unit: 0, .. }), "{refused}");
+    assert!(matches!(refused, super::super::outline::NoOutline::Pocket { unit: 0, .. }), "{refused}");
     let side = super::super::outline::largest_pocket(&drawing, [0.0; 2], 0.0);
     let fits = |side: f64| {
         check(&drawing, &mould(1.0), "")

@@ -52,18 +52,18 @@ fn a_clearance_moves_every_side_outward() {
         assert!(grown.loops[1..].iter().filter(|l| l.iter().all(|p| void.contains_point(*p))).count() == 1);
     }
     let closed = Outline::new(&squares(), &Mould { clearance: 5.0, ..mould(1.0) });
-    assert_eq!(closed, Err(Invalid::Closed(5.0)));
+    assert_eq!(closed, Err(NoOutline::Closed(5.0)));
 }
 
 #[test]
 fn ligaments_as_wide_as_voids_are_refused() {
     let wide = Outline::new(&squares(), &mould(12.0));
-    assert!(matches!(wide, Err(Invalid::TooWide { voids: 4, .. })), "{wide:?}");
+    assert!(matches!(wide, Err(NoOutline::TooWide { voids: 4, .. })), "{wide:?}");
 }
 
 #[test]
 fn units_that_nothing_joins_are_refused() {
     let mut drawing = squares();
     drawing.ligaments.retain(|l| l.iter().all(|end| end[0] < 20.0));
-    assert_eq!(Outline::new(&drawing, &mould(1.0)), Err(Invalid::Apart(4)));
+    assert_eq!(Outline::new(&drawing, &mould(1.0)), Err(NoOutline::Apart(4)));
 }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::store::Store;
 
-const LIMITS: Limits = Limits { rows: 10, bytes: 1000, time: Duration::from_millis(300) };
+const LIMITS: AnswerLimits = AnswerLimits { rows: 10, bytes: 1000, time: Duration::from_millis(300) };
 
 /// Statements that access other files or change anything are refused, also after another statement.
 #[tokio::test]

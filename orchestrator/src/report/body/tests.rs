@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::export::tests::squares;
-use crate::look::body::{Arrow, Numbers};
+use crate::look::body::{Arrow, Numbering};
 use crate::look::wave::course;
 
 /// A clearance is a line between its units, an angle a dot at its corner; y points down.
@@ -11,9 +11,9 @@ fn what_holds_a_body_is_drawn_where_it_is() {
     let mut drawing = squares();
     let [x, y] = drawing.units[4][2];
     let held = |kind, units| Active { kind, units, node: 2, slack: 0.0 };
-    drawing.active = vec![held(Kind::Clearance, [4, 5]), held(Kind::BlockAngleLow, [4, 4])];
+    drawing.active = vec![held(ViolationKind::Clearance, [4, 5]), held(ViolationKind::BlockAngleLow, [4, 4])];
     let drawn = sketch(&drawing, &[]);
-    let svg = drawn.picture(frame([&drawn]), "", Numbers::Units).marks.into_string();
+    let svg = drawn.picture(frame([&drawn]), "", Numbering::Units).marks.into_string();
     assert_eq!(svg.matches("class=\"active\"").count(), 1, "{svg}");
     let dot = format!("class=\"active-node\" cx=\"{x:.3}\" cy=\"{:.3}\"", -y);
     assert!(svg.contains(&dot), "{dot} is not in {svg}");

@@ -1,4 +1,4 @@
-use super::super::{Event, Outcome, RecordKind, Settings, WorkerId, on_event};
+use super::super::{Event, RecordKind, RunOutcome, Settings, WorkerId, on_event};
 use super::*;
 
 /// Records and answers are empty.
@@ -18,11 +18,11 @@ const ALONE: Prior = Prior { attempts: 0, steps: None, body: 0, trained: true };
 type Actions = Vec<Action<Nothing>>;
 
 /// A run whose workers are up and have the first trials.
-fn run(trials: usize, workers: u32) -> State {
+fn run(trials: usize, workers: u32) -> SchedulerState {
     run_of(&vec![ALONE; trials], workers)
 }
 
-fn run_of(priors: &[Prior], workers: u32) -> State {
+fn run_of(priors: &[Prior], workers: u32) -> SchedulerState {
     let settings = Settings {
         workers,
         paused: false,
@@ -33,13 +33,13 @@ fn run_of(priors: &[Prior], workers: u32) -> State {
         memory_limited: false,
         grace: 2_500,
     };
-    let mut state = State::new(settings, priors);
+    let mut state = SchedulerState::new(settings, priors);
     up(&mut state, Event::Clock(0));
     state
 }
 
 /// Handles an event, then starts the workers that it spawned; returns all actions.
-fn up(state: &mut State, event: Event<Nothing>) -> Actions {
+fn up(state: &mut SchedulerState, event: Event<Nothing>) -> Actions {
     let mut actions = on_event(state, event);
     let spawned: Vec<WorkerId> =
         actions.iter().filter_map(|a| if let Action::Spawn(id) = a { Some(*id) } else { None }).collect();
@@ -49,7 +49,7 @@ fn up(state: &mut State, event: Event<Nothing>) -> Actions {
     actions
 }
 
-fn steer(state: &mut State, command: Steer) -> (SteerAnswer, Actions) {
+fn steer(state: &mut SchedulerState, command: Steer) -> (SteerAnswer, Actions) {
     let mut actions = up(state, Event::Steer(command, ()));
     let answer = |action: &Action<Nothing>| match action {
         Action::Answer((), answer) => Some(*answer),
@@ -69,7 +69,7 @@ const fn lease(trial: u32, attempt: u32) -> Lease {
     Lease { trial, attempt }
 }
 
-fn finish(state: &mut State, slot: u32, trial: u32) -> Actions {
+fn finish(state: &mut SchedulerState, slot: u32, trial: u32) -> Actions {
     let mut actions = up(state, Event::Finished(id(slot), lease(trial, 1), ()));
     actions.extend(up(state, Event::Recorded(lease(trial, 1), RecordKind::Result)));
     actions
@@ -137,7 +137,7 @@ fn what_is_cancelled_is_recorded_and_not_given_out_again() {
     let last = finish(&mut state, 0, 3);
     assert!(!last.iter().any(|a| matches!(a, Action::Assign(..) | Action::Spawn(_))), "{last:?}");
     let ended = [0, 2].map(|slot| up(&mut state, Event::Lost(id(slot), Reason::WorkerExited(0))));
-    assert_eq!(ended.concat(), [Action::End(Outcome::Complete)]);
+    assert_eq!(ended.concat(), [Action::End(RunOutcome::Complete)]);
 }
 
 /// The trial of the last `Next` command goes first, even if it has just died and would have to wait.
@@ -148,7 +148,7 @@ fn what_is_to_be_next_goes_first() {
     for trial in [4, 3] {
         assert_eq!(steer(&mut state, Steer::Next(trial)), (SteerAnswer::Next(false), vec![]));
     }
-    let next = |state: &mut State, trial| {
+    let next = |state: &mut SchedulerState, trial| {
         finish(state, 0, trial).into_iter().find(|action| matches!(action, Action::Assign(..)))
     };
     assert_eq!(next(&mut state, 0), Some(Action::Assign(id(0), lease(3, 1))));
@@ -215,7 +215,7 @@ fn added_trials_are_run() {
     up(&mut state, Event::Failed(worker, lease(1, 5), Reason::Stopped));
     up(&mut state, Event::Recorded(lease(1, 5), RecordKind::Failure));
     let ended = up(&mut state, Event::Lost(worker, Reason::WorkerExited(0)));
-    assert_eq!(ended, [Action::End(Outcome::Interrupted)]);
+    assert_eq!(ended, [Action::End(RunOutcome::Interrupted)]);
 }
 
 /// A stop waits for steps in progress for `grace` and no longer; a second stop does not wait.
@@ -256,7 +256,7 @@ fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     assert!(matches!(last[..], [Action::RecordFailure { settled: false, .. }, Action::Close(_)]), "{last:?}");
     up(&mut state, Event::Recorded(lease(0, attempt), RecordKind::Failure));
     let ended = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
-    assert_eq!(ended, [Action::End(Outcome::Unfit(Reason::Shortage))]);
+    assert_eq!(ended, [Action::End(RunOutcome::Unfit(Reason::Shortage))]);
     assert_eq!(state.phase(0), Phase::Pending);
     // after progress, the count of shortages starts again at one
     up(&mut further, Event::Step(id(0), lease(0, attempt), false, ()));

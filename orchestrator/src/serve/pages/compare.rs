@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::trial::{Trial, curves};
 use super::{ServerState, framed, to_trial};
-use crate::analysis::compare::Comparison;
+use crate::analysis::compare::TrialPairs;
 use crate::analysis::setting::flatten;
 use crate::cell::brief;
 use crate::look::short_hash;
@@ -74,7 +74,7 @@ async fn databases(served: &ServerState, first: &str, second: &str) -> Result<Ma
         trials.push(Reader::with_reader(&db, async |reader| finished_trials(reader).await).await?);
     }
     let work = move || {
-        let found = Comparison::new(&trials[0], &trials[1]);
+        let found = TrialPairs::new(&trials[0], &trials[1]);
         let text = |value: Option<&Value>| value.map_or("none".to_owned(), Value::to_string);
         let differs: Vec<_> =
             found.differs.iter().map(|(path, [a, b])| (path.to_string(), text(*a), text(*b))).collect();

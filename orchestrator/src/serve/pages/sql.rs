@@ -13,12 +13,12 @@ use serde_json::Value;
 
 use super::{ServerState, framed, query, trial_links};
 use crate::look::{Axis, Format, Plot, Scale, Table, lines, prose};
-use crate::reader::{Limits, Reader};
+use crate::reader::{AnswerLimits, Reader};
 use crate::serve::{PageError, file_of};
 
 /// Limits of an answer on a page, and in a file.
-const PAGE: Limits = Limits { rows: 1000, bytes: 2 << 20, time: Duration::from_secs(5) };
-const FILE: Limits = Limits { rows: 200_000, bytes: 32 << 20, time: Duration::from_secs(20) };
+const PAGE: AnswerLimits = AnswerLimits { rows: 1000, bytes: 2 << 20, time: Duration::from_secs(5) };
+const FILE: AnswerLimits = AnswerLimits { rows: 200_000, bytes: 32 << 20, time: Duration::from_secs(20) };
 /// The statement in the empty form.
 const FIRST: &str = "SELECT sensors, avg(holdout_error_initial), avg(holdout_error_optimised), count(*)\nFROM v_trial WHERE state = 'done' GROUP BY 1";
 
@@ -95,7 +95,7 @@ async fn answer(
     served: &ServerState,
     at: &str,
     sql: &str,
-    limits: Limits,
+    limits: AnswerLimits,
     typed: bool,
 ) -> Result<SqlAnswer, PageError> {
     let db = file_of(served, at).await?;

@@ -4,7 +4,7 @@ use super::*;
 use serde_json::json;
 
 fn trials() -> Trials {
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     let row = |(i, state): (usize, &&str)| {
         let mut numbers = [f64::NAN; NUMBERS.len()];
         numbers[1] = (i + 1) as f64;
@@ -88,7 +88,7 @@ fn numbers_are_compared_with_numbers() {
 /// Integers are compared exactly.
 #[test]
 fn large_seeds_differ_by_one() {
-    let mut settings = Settings::default();
+    let mut settings = SharedSettings::default();
     let row = |seed: i64| TrialRow {
         hash: seed.to_string(),
         state: "done".into(),

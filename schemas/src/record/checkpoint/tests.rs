@@ -1,5 +1,5 @@
 use super::*;
-use crate::record::{NetworkEvaluation, Reading, Spread};
+use crate::record::{NetworkRecord, ReadingRecord, SpreadRecord};
 
 /// Fields up to the best design; other fields of the outer loop.
 const HEAD: &str = "ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
@@ -41,7 +41,7 @@ fn a_checkpoint_is_these_bytes() {
         design_moments: Moments { first: vec![1.0], second: vec![2.0], steps: 7 },
         weights: vec![0.25],
         weight_moments: Moments { first: vec![0.5], second: Vec::new(), steps: 200 },
-        best: Some(Best { design: vec![1.5], error: 12.5, step: 299 }),
+        best: Some(BestDesign { design: vec![1.5], error: 12.5, step: 299 }),
         caution: 0.5,
         setbacks: 2,
         trend: Some(0.25),
@@ -51,8 +51,8 @@ fn a_checkpoint_is_these_bytes() {
         found: vec![12.5, f64::INFINITY],
         ..Default::default()
     };
-    let spread = Some(Spread { median: Some(0.5), p90: None, above: 300 });
-    let network = NetworkEvaluation {
+    let spread = Some(SpreadRecord { median: Some(0.5), p90: None, above: 300 });
+    let network = NetworkRecord {
         error_train: Some(1.0),
         error_test: None,
         error_holdout: Some(2.0),
@@ -62,7 +62,7 @@ fn a_checkpoint_is_these_bytes() {
         outcome: "ok".into(),
         spread,
     };
-    let reading = Reading {
+    let reading = ReadingRecord {
         before: 3,
         after: 200,
         ridge: 0.5,
@@ -71,20 +71,20 @@ fn a_checkpoint_is_these_bytes() {
         error_holdout: Some(2.0),
         spread,
     };
-    let body = BodyEvaluation {
+    let body = BodyRecord {
         design: vec![0.5],
-        long: vec![NetworkEvaluation::default()],
+        long: vec![NetworkRecord::default()],
         networks: vec![network],
         readings: vec![reading],
         zero_samples: [1, 2, 300],
     };
-    let training = Training {
+    let training = NetworkInTraining {
         weights: vec![0.5],
         moments: Moments { first: vec![0.25], second: vec![-0.25], steps: 300 },
         losses: vec![2.0],
         errors: vec![(200, 8.0)],
     };
-    let counters = Counters {
+    let counters = WorkCounts {
         force_evaluations: 1,
         steps: 2,
         rejected: 3,
@@ -92,34 +92,41 @@ fn a_checkpoint_is_these_bytes() {
         hessian_products: 5,
         projection_iterations: 600,
     };
-    let seconds =
-        Seconds { simulate: 1.0, train: 2.0, differentiate: 3.0, implicit: 4.0, project: 5.0, store: 6.0 };
-    let comparison = Comparison { bodies: vec![body], training: Some(training), counters, seconds };
+    let seconds = StepSeconds {
+        simulate: 1.0,
+        train: 2.0,
+        differentiate: 3.0,
+        implicit: 4.0,
+        project: 5.0,
+        store: 6.0,
+    };
+    let comparison = ComparisonProgress { bodies: vec![body], training: Some(training), counters, seconds };
     whole.comparison = Some(Box::new(comparison));
-    let reading = |cast, reader: &str, records| CastReading {
+    let reading = |cast, reader: &str, records| CastRecord {
         cast,
         reader: reader.into(),
         records,
         error: Some(2.0),
         outcome: "ok".into(),
-        ..CastReading::default()
+        ..CastRecord::default()
     };
     let calibrated =
-        CastReading { spread, ridge: Some(0.25), share: Some(0.125), ..reading(1, "records", 300) };
+        CastRecord { spread, ridge: Some(0.25), share: Some(0.125), ..reading(1, "records", 300) };
     whole.casts = vec![vec![reading(0, "nominal", 0), calibrated], Vec::new()];
-    let band = |reader: &str, cast: Option<u32>, kind: &str, numbers: [Option<f64>; 2], half_width| Band {
-        reader: reader.into(),
-        records: cast.map_or(0, |_| 30),
-        cast,
-        method: "conformal".into(),
-        kind: kind.into(),
-        level: 0.95,
-        samples: 99,
-        coverage: numbers[0],
-        width: numbers[1],
-        half_width,
-        outcome: "ok".into(),
-    };
+    let band =
+        |reader: &str, cast: Option<u32>, kind: &str, numbers: [Option<f64>; 2], half_width| BandRecord {
+            reader: reader.into(),
+            records: cast.map_or(0, |_| 30),
+            cast,
+            method: "conformal".into(),
+            kind: kind.into(),
+            level: 0.95,
+            samples: 99,
+            coverage: numbers[0],
+            width: numbers[1],
+            half_width,
+            outcome: "ok".into(),
+        };
     whole.bands = vec![
         vec![
             band("own", None, "instant", [Some(1.0), None], vec![0.125]),
@@ -145,10 +152,10 @@ fn no_stored_bytes_make_a_reader_panic() {
         step: 3,
         design: vec![0.5; 6],
         weights: vec![0.25; 4],
-        best: Some(Best { design: vec![1.5; 6], error: 12.5, step: 2 }),
+        best: Some(BestDesign { design: vec![1.5; 6], error: 12.5, step: 2 }),
         trail: vec![Waypoint { step: 1, design: vec![3.0; 6] }],
-        comparison: Some(Box::new(Comparison {
-            bodies: vec![BodyEvaluation::default()],
+        comparison: Some(Box::new(ComparisonProgress {
+            bodies: vec![BodyRecord::default()],
             ..Default::default()
         })),
         ..Default::default()

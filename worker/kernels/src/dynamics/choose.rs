@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use super::stiffness::hessian;
-use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Tolerance};
+use super::{Accuracy, IntegrationPlan, Integrator, IntegratorSettings, Precision, Scene, Tolerance};
 
 /// Highest angular frequency of small undamped motion about the start of samples (rad/s): the square root of the largest eigenvalue of
 /// M^-½ H M^-½ by Lanczos' method, accurate to 1e-3 before its vectors lose orthogonality. Relaxing ligaments count with their
@@ -57,7 +57,7 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
 /// Fitted on the reference scene for errors from 2e-3 to 7e-8, within a third. Other scenes have other factors: many periods between
 /// instants, sharp forces, contact. `tune` measures the factor.
 pub(super) struct Law {
-    pub(super) method: Method,
+    pub(super) method: Integrator,
     pub(super) power: f64,
     factor: f64,
     /// Largest w, for stability of motion far from rest.
@@ -67,9 +67,9 @@ pub(super) struct Law {
 }
 
 const LAWS: [Law; 3] = [
-    Law { method: Method::Leapfrog, power: 2.0, factor: 0.45, limit: 1.1, work: 1 },
-    Law { method: Method::Nystrom4, power: 4.0, factor: 0.25, limit: 0.6, work: 6 },
-    Law { method: Method::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
+    Law { method: Integrator::Leapfrog, power: 2.0, factor: 0.45, limit: 1.1, work: 1 },
+    Law { method: Integrator::Nystrom4, power: 4.0, factor: 0.25, limit: 0.6, work: 6 },
+    Law { method: Integrator::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
 ];
 
 /// Relative error of signals due to f32: ROUNDING · (ω Δ)², Δ the interval, because accelerations are small differences of elastic
@@ -110,8 +110,8 @@ impl Candidate {
     }
 
     /// A plan with these steps in f64.
-    pub(super) fn plan(&self, steps: usize, reason: String) -> Plan {
-        Plan { reason, ..Plan::equal(self.law.method, steps) }
+    pub(super) fn plan(&self, steps: usize, reason: String) -> IntegrationPlan {
+        IntegrationPlan { reason, ..IntegrationPlan::equal(self.law.method, steps) }
     }
 
     /// Highest frequency (rad/s) at which the rounding law of f32 gives at most a third of the requested error.
@@ -143,28 +143,33 @@ pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Can
 }
 
 /// Selects the plan of a solver for a scene and design, under forces on the scene's clock.
-pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
+pub fn choose(scene: &Scene, design: &[f64], solver: &IntegratorSettings) -> IntegrationPlan {
     choose_under(scene, design, 1, solver)
 }
 
 /// As [`choose`], under forces with `kinks` kinks per interval.
-pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
-    let Solver { method, accuracy, tolerance, single_below: single } = *solver;
+pub(super) fn choose_under(
+    scene: &Scene,
+    design: &[f64],
+    kinks: usize,
+    solver: &IntegratorSettings,
+) -> IntegrationPlan {
+    let IntegratorSettings { method, accuracy, tolerance, single_below: single } = *solver;
     // For τ ≥ 0.1 ms and g ≤ 1, the law of `nystrom4` bounds the error of the scheme of `relaxing`. An accuracy found by a pilot with
     // another method is valid too: a difficult scene increases the factors of all laws alike.
-    let method = if scene.relaxation.is_some() { Method::Nystrom4 } else { method };
-    if method == Method::Tsit5 {
+    let method = if scene.relaxation.is_some() { Integrator::Nystrom4 } else { method };
+    if method == Integrator::Tsit5 {
         let tolerance = tolerance.unwrap_or_else(|| Tolerance::from(accuracy));
-        return Plan { reason: "requested".to_owned(), ..Plan::tsit5(tolerance) };
+        return IntegrationPlan { reason: "requested".to_owned(), ..IntegrationPlan::tsit5(tolerance) };
     }
     let best = candidates(scene, design, kinks)
         .into_iter()
-        .filter(|c| method == Method::Auto || method == c.law.method)
+        .filter(|c| method == Integrator::Auto || method == c.law.method)
         .min_by_key(|c| c.steps(accuracy) * c.law.work)
         .expect("a law for every method of equal steps");
     let steps = best.steps(accuracy);
     let reason =
         best.reason(steps, &format!("from the error law of this method for an error of {:.0e}", accuracy.0));
     let precision = if best.highest <= single { Precision::Single } else { Precision::Double };
-    Plan { precision, ..best.plan(steps, reason) }
+    IntegrationPlan { precision, ..best.plan(steps, reason) }
 }

@@ -1,10 +1,12 @@
 //! Entry points for each instruction set and precision.
 
-use super::jobs::{Backward, Queue, take};
+use super::jobs::{Backward, SampleQueue, take};
 use super::ligaments::{self, Place, ShapeCotangent, Turn};
 use super::model::{Bar, Model, ModelCotangent};
 use super::system::{EnergyKernel, GradientKernel, Kernels, ProductKernel, System, Unit};
-use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, relaxing, splitting, tsit5};
+use super::{
+    Forces, IntegrationPlan, Precision, Scene, SimulationCounts, Steps, Wrt, relaxing, splitting, tsit5,
+};
 use crate::Heartbeat;
 #[cfg(target_arch = "x86_64")]
 use crate::lanes::{Avx2, Avx512, HalfSingleAvx512, SingleAvx2, SingleAvx512};
@@ -12,13 +14,21 @@ use crate::lanes::{Base, SingleBase, Vector};
 use crate::simd::Width;
 
 /// Arguments: (scene, model, forces, plan, checkpoints per interval, queue, heartbeat).
-pub type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>, &Heartbeat) -> Counters;
+pub type Forward = unsafe fn(
+    &Scene,
+    &Model,
+    &Forces,
+    &IntegrationPlan,
+    usize,
+    &SampleQueue<'_, '_>,
+    &Heartbeat,
+) -> SimulationCounts;
 /// Arguments: (scene, model, forces, plan, checkpoints per interval, samples, requested gradient, heartbeat).
 pub type Reverse =
-    unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Backward<'_>], Wrt, &Heartbeat) -> Swept;
+    unsafe fn(&Scene, &Model, &Forces, &IntegrationPlan, usize, &[Backward<'_>], Wrt, &Heartbeat) -> Swept;
 
 /// Cotangents of the model, cotangents of the histories (n, K, R+1) if requested, and the work done.
-pub type Swept = (ModelCotangent, Vec<f64>, Counters);
+pub type Swept = (ModelCotangent, Vec<f64>, SimulationCounts);
 
 /// Compiled code of one instruction set and precision.
 pub struct Machine {
@@ -104,18 +114,18 @@ macro_rules! machine {
                 scene: &Scene,
                 model: &Model,
                 forces: &Forces,
-                plan: &Plan,
+                plan: &IntegrationPlan,
                 parts: usize,
-                queue: &Queue<'_, '_>,
+                queue: &SampleQueue<'_, '_>,
                 heartbeat: &Heartbeat,
-            ) -> Counters {
+            ) -> SimulationCounts {
                 let scheme = plan.method.scheme();
                 let damped = scheme.is_none();
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), damped, false);
                 match (scheme, plan.steps) {
                     (None, Steps::Adaptive(tolerance)) => $tsit5::forward(system, forces, tolerance, queue, heartbeat),
                     (Some(scheme), Steps::Equal(steps)) => {
-                        let mut counters = Counters::default();
+                        let mut counters = SimulationCounts::default();
                         loop {
                             let slots = take(queue, <$vector>::LANES);
                             if slots.is_empty() {
@@ -133,11 +143,11 @@ macro_rules! machine {
                 scene: &Scene,
                 model: &Model,
                 forces: &Forces,
-                plan: &Plan,
+                plan: &IntegrationPlan,
                 _parts: usize,
-                queue: &Queue<'_, '_>,
+                queue: &SampleQueue<'_, '_>,
                 heartbeat: &Heartbeat,
-            ) -> Counters {
+            ) -> SimulationCounts {
                 let relaxation = scene.relaxation.expect("a scene with relaxing ligaments");
                 let system = System::<$vector>::new(scene, model, kernels(scene, false), false, false);
                 let steps = plan.steps.count();
@@ -152,7 +162,7 @@ macro_rules! machine {
                 scene: &Scene,
                 model: &Model,
                 forces: &Forces,
-                plan: &Plan,
+                plan: &IntegrationPlan,
                 parts: usize,
                 sweeps: &[Backward<'_>],
                 wrt: Wrt,
@@ -204,9 +214,9 @@ mod no_tsit5 {
         _: System<'_, V>,
         _: &Forces,
         _: Tolerance,
-        _: &Queue<'_, '_>,
+        _: &SampleQueue<'_, '_>,
         _: &Heartbeat,
-    ) -> Counters {
+    ) -> SimulationCounts {
         unreachable!("adaptive steps require f64")
     }
 
@@ -216,7 +226,7 @@ mod no_tsit5 {
         _: &[Backward<'_>],
         _: bool,
         _: &Heartbeat,
-    ) -> (Vec<f64>, Counters) {
+    ) -> (Vec<f64>, SimulationCounts) {
         unreachable!("adaptive steps require f64")
     }
 }

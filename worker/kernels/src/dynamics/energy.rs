@@ -2,7 +2,7 @@
 
 use super::ligaments::{Turn, gradient, turns};
 use super::model::{Model, ModelCotangent};
-use super::{Contact, Scene};
+use super::{EdgeContact, Scene};
 use crate::lanes::{Base, Vector};
 
 /// Elastic and contact energy (N·mm).
@@ -47,7 +47,7 @@ pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energ
 }
 
 /// E_c of one void angle.
-pub fn contact_energy(contact: Contact, psi: f64) -> f64 {
+pub fn contact_energy(contact: EdgeContact, psi: f64) -> f64 {
     let width = contact.cutoff_angle - contact.min_angle;
     let x = (psi - contact.cutoff_angle) / width;
     if !(-1.0..0.0).contains(&x) {

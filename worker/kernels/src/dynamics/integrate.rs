@@ -1,12 +1,12 @@
 //! Simulation and reverse sweep of samples, distributed over lanes and threads.
 
 use super::dispatch::{Machine, Swept, machine};
-use super::jobs::{Backward, Job};
+use super::jobs::{Backward, SampleJob};
 use super::model::{Model, ModelCotangent};
 use super::simulation::SampleTape;
 use super::{
-    Counters, Forces, Gradient, Method, Outcome, Plan, Scene, Simulation, Solver, Steps, Tape, Wrt, choose,
-    equilibrium, splitting,
+    Forces, Gradient, IntegrationPlan, Integrator, IntegratorSettings, Outcome, Scene, Simulation,
+    SimulationCounts, Steps, Tape, Wrt, choose, equilibrium, splitting,
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -22,7 +22,7 @@ pub fn simulate(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
+    solver: &IntegratorSettings,
     keep_tape: bool,
     pool: &crate::Pool,
 ) -> Simulation {
@@ -30,7 +30,12 @@ pub fn simulate(
 }
 
 /// The plan that [`simulate`] uses.
-pub fn planned(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver) -> Plan {
+pub fn planned(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &IntegratorSettings,
+) -> IntegrationPlan {
     choose::choose_under(scene, design, forces.kinks(scene), solver)
 }
 
@@ -42,7 +47,7 @@ pub fn run(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    plan: &Plan,
+    plan: &IntegrationPlan,
     keep_tape: bool,
     pool: &crate::Pool,
 ) -> Simulation {
@@ -53,7 +58,7 @@ pub fn run(
         Steps::Equal(steps) => Steps::Equal(steps.next_multiple_of(forces.kinks(scene))),
         adaptive @ Steps::Adaptive(_) => adaptive,
     };
-    let plan = &Plan { steps, ..plan.clone() };
+    let plan = &IntegrationPlan { steps, ..plan.clone() };
     let n = forces.samples;
     let machine = machine(pool.width(), plan.precision, n);
     let len = scene.instants * 3 * scene.sensors.len();
@@ -80,11 +85,11 @@ pub fn run(
     kept.resize_with(n, || None);
     // a scene without sensors needs one empty slice per sample
     let mut rest = signals.as_mut_slice();
-    let mut jobs: Vec<Job<'_>> = Vec::with_capacity(n);
+    let mut jobs: Vec<SampleJob<'_>> = Vec::with_capacity(n);
     for (index, (outcome, tape)) in outcomes.iter_mut().zip(kept).enumerate() {
         let (signals, others) = rest.split_at_mut(len);
         rest = others;
-        jobs.push(Job { signals, outcome, tape, index });
+        jobs.push(SampleJob { signals, outcome, tape, index });
     }
     let adaptive = matches!(plan.steps, Steps::Adaptive(_));
     if !adaptive {
@@ -97,7 +102,7 @@ pub fn run(
     let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut jobs, pool);
     // samples for which equal steps are too long are repeated with finer steps
     for refined in [2, 4, 8] {
-        let mut failed: Vec<Job<'_>> = Vec::new();
+        let mut failed: Vec<SampleJob<'_>> = Vec::new();
         for job in &mut jobs {
             if !adaptive && *job.outcome != Outcome::Ok {
                 *job.outcome = Outcome::Ok;
@@ -105,13 +110,13 @@ pub fn run(
                     tape.refined = refined;
                 }
                 let tape = job.tape.as_deref_mut();
-                failed.push(Job { signals: job.signals, outcome: job.outcome, tape, index: job.index });
+                failed.push(SampleJob { signals: job.signals, outcome: job.outcome, tape, index: job.index });
             }
         }
         if failed.is_empty() {
             break;
         }
-        let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
+        let finer = IntegrationPlan { steps: plan.steps.times(refined), ..plan.clone() };
         total.rejected += failed.len() as u64;
         total += integrate(&machine, scene, &model, forces, &finer, parts, &mut failed, pool);
     }
@@ -143,22 +148,22 @@ fn integrate(
     scene: &Scene,
     model: &Model,
     forces: &Forces,
-    plan: &Plan,
+    plan: &IntegrationPlan,
     parts: usize,
-    jobs: &mut [Job<'_>],
+    jobs: &mut [SampleJob<'_>],
     pool: &crate::Pool,
-) -> Counters {
+) -> SimulationCounts {
     let forward = if scene.relaxation.is_some() { machine.relaxing } else { machine.forward };
     let tasks = pool.threads().min(jobs.len().div_ceil(machine.lanes));
     let queue = Mutex::new(jobs);
-    let counters: Vec<Counters> = pool.install(|| {
+    let counters: Vec<SimulationCounts> = pool.install(|| {
         (0..tasks)
             .into_par_iter()
             // SAFETY: `machine` has checked that this machine supports its width.
             .map(|_| unsafe { forward(scene, model, forces, plan, parts, &queue, pool.heartbeat()) })
             .collect()
     });
-    let mut total = Counters::default();
+    let mut total = SimulationCounts::default();
     counters.into_iter().for_each(|c| total += c);
     total
 }
@@ -187,19 +192,19 @@ impl Simulation {
             })
             .collect();
         // all lanes of a vector have the same number of steps
-        let mut blocks: Vec<(Plan, Vec<Backward<'_>>)> = Vec::new();
+        let mut blocks: Vec<(IntegrationPlan, Vec<Backward<'_>>)> = Vec::new();
         for refined in [1, 2, 4, 8] {
-            let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
+            let finer = IntegrationPlan { steps: plan.steps.times(refined), ..plan.clone() };
             let mut group: Vec<&Backward<'_>> = sweeps.iter().filter(|s| s.tape.refined == refined).collect();
             group.sort_by_key(|s| match plan.method {
-                Method::Tsit5 => s.tape.counts.iter().sum::<u32>() as usize,
+                Integrator::Tsit5 => s.tape.counts.iter().sum::<u32>() as usize,
                 _ => forces.onset(scene, s.history),
             });
             let lanes: Vec<&[&Backward<'_>]> = group.chunks(machine.lanes).collect();
             // Tsit5 groups samples with similar numbers of steps, but threads need equal work: each task receives samples
             // of all lengths.
             let tasks = match plan.method {
-                Method::Tsit5 => lanes.len().div_ceil(BLOCKS).max(lanes.len().min(4)),
+                Integrator::Tsit5 => lanes.len().div_ceil(BLOCKS).max(lanes.len().min(4)),
                 _ => lanes.len(),
             };
             let dealt: Vec<&Backward<'_>> = (0..tasks)
@@ -220,7 +225,7 @@ impl Simulation {
                 .collect()
         });
         let mut total = ModelCotangent::new(&model, 0.0);
-        let mut counters = Counters::default();
+        let mut counters = SimulationCounts::default();
         let history = forces.panels * (forces.instants + 1);
         let mut pushed = (wrt == Wrt::Forces).then(|| vec![0.0; forces.samples * history]);
         for ((cotangent, histories, work), (_, sweeps)) in swept.iter().zip(&blocks) {

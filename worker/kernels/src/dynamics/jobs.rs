@@ -5,7 +5,7 @@ use super::simulation::SampleTape;
 use std::sync::{Mutex, PoisonError};
 
 /// A sample to integrate, and the memory for its results.
-pub struct Job<'a> {
+pub struct SampleJob<'a> {
     /// Signals (T, 3M).
     pub signals: &'a mut [f64],
     /// Outcome of the simulation.
@@ -17,10 +17,10 @@ pub struct Job<'a> {
 }
 
 /// Samples that are not yet taken, in order.
-pub type Queue<'s, 'a> = Mutex<&'s mut [Job<'a>]>;
+pub type SampleQueue<'s, 'a> = Mutex<&'s mut [SampleJob<'a>]>;
 
 /// Removes up to `most` samples from a queue.
-pub fn take<'s, 'a>(queue: &Queue<'s, 'a>, most: usize) -> &'s mut [Job<'a>] {
+pub fn take<'s, 'a>(queue: &SampleQueue<'s, 'a>, most: usize) -> &'s mut [SampleJob<'a>] {
     let mut queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
     let all = std::mem::take(&mut *queue);
     let (taken, left) = all.split_at_mut(most.min(all.len()));

@@ -6,7 +6,10 @@
 
 use super::model::driven_mass;
 use super::schemes::Drift;
-use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5};
+use super::{
+    AccelerationFrame, AddedMass, Forces, Integrator, Mount, Parameters, Scene, Simulation, Tape,
+    equilibrium, tsit5,
+};
 use crate::body::{End, FollowRule, Follower, Geometry, Layout, edges};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -178,7 +181,7 @@ impl<'a> DualBody<'a> {
                     [by * m, by * m, by / 12.0 * density * polar]
                 }
             };
-            let chip = Inertia::mass_on_unit(scene, u);
+            let chip = AddedMass::mass_on_unit(scene, u);
             mass.push(match scene.is_driven(u) {
                 true => driven_mass(scene).map(|m| Dual(m, 0.0)),
                 false => [0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)),
@@ -369,8 +372,8 @@ impl<'a> DualBody<'a> {
             let at =
                 [a[u][0] - a[u][2] * py - omega * omega * px, a[u][1] + a[u][2] * px - omega * omega * py];
             let (s, c) = match self.scene.frame {
-                Frame::World => Dual(tilt, 0.0).sin_cos(),
-                Frame::Body => (theta + Dual(tilt, 0.0)).sin_cos(),
+                AccelerationFrame::World => Dual(tilt, 0.0).sin_cos(),
+                AccelerationFrame::Body => (theta + Dual(tilt, 0.0)).sin_cos(),
             };
             signals.extend([c * at[0] + s * at[1], c * at[1] - s * at[0], omega]);
         }
@@ -398,7 +401,7 @@ impl Simulation {
         let body = DualBody::new(tape, sample, tangent);
         let own = &tape.samples[sample];
         let signals = match self.plan.method {
-            Method::Tsit5 => {
+            Integrator::Tsit5 => {
                 let delta = tape.scene.duration / tape.forces.instants as f64;
                 adaptive(&body, &tsit5::sizes(&own.steps, &own.counts, delta), &own.counts)
             }
@@ -408,7 +411,7 @@ impl Simulation {
     }
 }
 
-fn equal(body: &DualBody<'_>, method: Method, substeps: usize) -> Vec<Dual> {
+fn equal(body: &DualBody<'_>, method: Integrator, substeps: usize) -> Vec<Dual> {
     let DualBody { scene, forces, .. } = body;
     let scheme = method.scheme().expect("a splitting scheme");
     let h = scene.duration / (scene.instants * substeps) as f64;

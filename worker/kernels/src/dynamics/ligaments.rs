@@ -562,7 +562,7 @@ impl<V: Vector> Reaction<V> {
 
 /// E_c of a void angle.
 #[inline(always)]
-fn contact_energy<V: Vector>(contact: super::Contact, psi: V) -> V {
+fn contact_energy<V: Vector>(contact: super::EdgeContact, psi: V) -> V {
     let width = contact.cutoff_angle - contact.min_angle;
     let (one, zero) = (V::splat(1.0), V::splat(0.0));
     let x = (psi - V::splat(contact.cutoff_angle)) * V::splat(1.0 / width);
@@ -572,7 +572,7 @@ fn contact_energy<V: Vector>(contact: super::Contact, psi: V) -> V {
 
 /// dE_c/dψ = k_c w x/(1−x²)² and d²E_c/dψ² = k_c (1+3x²)/(1−x²)³; zero for ψ ≥ ψ_c and ψ ≤ ψ_min.
 #[inline(always)]
-fn contact_slope<V: Vector>(contact: super::Contact, psi: V) -> (V, V) {
+fn contact_slope<V: Vector>(contact: super::EdgeContact, psi: V) -> (V, V) {
     let width = contact.cutoff_angle - contact.min_angle;
     let one = V::splat(1.0);
     let zero = V::splat(0.0);

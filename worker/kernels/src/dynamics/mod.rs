@@ -42,10 +42,10 @@ pub use jvp::Tangent;
 pub use model::damping;
 pub use rest::Rest;
 pub use scene::{
-    Contact, Frame, Inertia, Mount, Panel, Parameters, PartFactors, PrescribedMotion, Relaxation, Scene,
-    Stiffness,
+    AccelerationFrame, AddedMass, EdgeContact, LigamentStiffness, MaxwellBranch, Mount, Panel, Parameters,
+    PartFactors, PrescribedMotion, Scene,
 };
-pub use simulation::{Counters, Gradient, Outcome, Simulation, Tape, Wrt};
-pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};
+pub use simulation::{Gradient, Outcome, Simulation, SimulationCounts, Tape, Wrt};
+pub use solver::{Accuracy, IntegrationPlan, Integrator, IntegratorSettings, Precision, Steps, Tolerance};
 pub use stiffness::sparse;
 pub use tune::{Tuned, keeps_error, signal_error, tune};

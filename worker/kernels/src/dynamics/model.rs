@@ -1,7 +1,9 @@
 //! Combines a scene with a design in the form that the kernels use.
 
 use super::ligaments::ShapeCotangent;
-use super::{Contact, Inertia, Outcome, Panel, Parameters, PartFactors, Scene, Stiffness, Strike};
+use super::{
+    AddedMass, EdgeContact, LigamentStiffness, Outcome, Panel, Parameters, PartFactors, Scene, Strike,
+};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -80,7 +82,7 @@ pub struct Model {
     /// Number of ligaments of the layout.
     pub ligaments: usize,
     /// Contact.
-    pub contact: Option<Contact>,
+    pub contact: Option<EdgeContact>,
     /// 1/(m, m, J) of each unit; 0 for held coordinates, nearly 0 for driven units.
     pub inverse_mass: Vec<[f64; 3]>,
     /// C (N·s/mm, N·s/mm, N·mm·s).
@@ -128,7 +130,7 @@ impl Model {
         let branch = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
         let bar = |(index, (l, voids)): (usize, (&crate::body::Ligament, &[f64; 2]))| {
             let length = l.reference[0].hypot(l.reference[1]);
-            let Stiffness { stretch, shear, bend } = scene.stiffness;
+            let LigamentStiffness { stretch, shear, bend } = scene.stiffness;
             let factors = scene.parts.ligaments.get(index).copied().unwrap_or([1.0; 3]);
             let stiffness = [stretch * factors[0], shear * factors[1], bend * factors[2]];
             let [arm_a, arm_b] = [l.a, l.b].map(|end| geometry.arms[layout.number(end)]);
@@ -155,7 +157,7 @@ impl Model {
         let number = |panel: &Panel| panel.node.map(|node| layout.number(End { unit: panel.unit, node }));
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
-            let chip = Inertia::mass_on_unit(scene, unit);
+            let chip = AddedMass::mass_on_unit(scene, unit);
             std::array::from_fn(|d| 1.0 / (own[d] + chip[d]))
         };
         let mut inverse_mass: Vec<[f64; 3]> = own.enumerate().map(inverse).collect();
@@ -311,7 +313,7 @@ impl ModelCotangent {
 
     /// Gradient in the factors of ligaments and units, if computed.
     pub fn parts(&self, model: &Model, scene: &Scene) -> PartFactors {
-        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let LigamentStiffness { stretch, shear, bend } = scene.stiffness;
         let by = |own: &[f64; 3]| [stretch * own[0], shear * own[1], bend * own[2]];
         let Geometry { mass, moment, .. } = &model.geometry;
         let unit = |u: usize| {

@@ -2,7 +2,7 @@
 
 use super::ligaments::Place;
 use super::system::Unit;
-use super::{Frame, Mount, Scene};
+use super::{AccelerationFrame, Mount, Scene};
 use crate::lanes::{MOST, Vector};
 
 /// A chip off the centroid of its unit, or tilted, at one instant.
@@ -15,12 +15,12 @@ pub struct Mounted<V> {
 
 impl<V: Vector> Mounted<V> {
     #[inline(always)]
-    pub fn new(Mount { offset: [rx, ry], tilt }: Mount, frame: Frame, theta: V) -> Self {
+    pub fn new(Mount { offset: [rx, ry], tilt }: Mount, frame: AccelerationFrame, theta: V) -> Self {
         let (c, s) = cos_sin(theta);
         let [rx, ry] = [V::splat(rx), V::splat(ry)];
         let axes = match frame {
-            Frame::World => (V::splat(tilt.cos()), V::splat(tilt.sin())),
-            Frame::Body => cos_sin(theta + V::splat(tilt)),
+            AccelerationFrame::World => (V::splat(tilt.cos()), V::splat(tilt.sin())),
+            AccelerationFrame::Body => cos_sin(theta + V::splat(tilt)),
         };
         Self { arm: [c * rx - s * ry, s * rx + c * ry], axes }
     }
@@ -77,8 +77,8 @@ pub fn read_lane<V: Vector>(
         }
         let (ax, ay) = (felt[0].lane(lane), felt[1].lane(lane));
         let (s, c) = match scene.frame {
-            Frame::World => (0.0, 1.0),
-            Frame::Body => x[u][2].lane(lane).sin_cos(),
+            AccelerationFrame::World => (0.0, 1.0),
+            AccelerationFrame::Body => x[u][2].lane(lane).sin_cos(),
         };
         out.copy_from_slice(&[c * ax + s * ay, c * ay - s * ax, v[u][2].lane(lane)]);
     }

@@ -8,13 +8,13 @@
 //! conditions of Runge–Kutta–Nyström schemes do not hold. The scheme is S₆, which holds for arbitrary flows: S. Blanes, P. C.
 //! Moan, J. Comput. Appl. Math. 142 (2002) 313–330. There is no reverse sweep.
 
-use super::jobs::{Job, Queue, take};
+use super::jobs::{SampleJob, SampleQueue, take};
 use super::ligaments::relax;
 use super::loads::LockstepForces;
 use super::readings::read_lane;
 use super::schemes::{Drift, Scheme};
 use super::system::{System, Unit};
-use super::{Counters, Forces, Outcome, Relaxation};
+use super::{Forces, MaxwellBranch, Outcome, SimulationCounts};
 use crate::Heartbeat;
 use crate::lanes::Vector;
 
@@ -22,13 +22,13 @@ use crate::lanes::Vector;
 #[inline(always)]
 pub fn forward<V: Vector, const LINEAR: bool>(
     mut system: System<'_, V>,
-    relaxation: Relaxation,
+    relaxation: MaxwellBranch,
     substeps: usize,
     forces: &Forces,
-    queue: &Queue<'_, '_>,
+    queue: &SampleQueue<'_, '_>,
     heartbeat: &Heartbeat,
-) -> Counters {
-    let mut counters = Counters::default();
+) -> SimulationCounts {
+    let mut counters = SimulationCounts::default();
     loop {
         let jobs = take(queue, V::LANES);
         if jobs.is_empty() {
@@ -41,12 +41,12 @@ pub fn forward<V: Vector, const LINEAR: bool>(
 #[inline(always)]
 fn block<V: Vector, const LINEAR: bool>(
     system: &mut System<'_, V>,
-    Relaxation { share, time }: Relaxation,
+    MaxwellBranch { share, time }: MaxwellBranch,
     substeps: usize,
     forces: &Forces,
-    jobs: &mut [Job<'_>],
+    jobs: &mut [SampleJob<'_>],
     heartbeat: &Heartbeat,
-) -> Counters {
+) -> SimulationCounts {
     let (scene, model) = (system.scene, system.model);
     let (width, moving) = (3 * scene.sensors.len(), model.moving_range());
     let histories: Vec<&[f64]> = jobs.iter().map(|s| forces.sample(s.index)).collect();
@@ -130,5 +130,5 @@ fn block<V: Vector, const LINEAR: bool>(
     }
     let (lanes, steps) = (jobs.len() as u64, (scene.instants * substeps) as u64);
     let evaluations = 1 + steps * scheme.stages() as u64;
-    Counters { force_evaluations: lanes * evaluations, steps: lanes * steps, rejected: 0 }
+    SimulationCounts { force_evaluations: lanes * evaluations, steps: lanes * steps, rejected: 0 }
 }

@@ -5,7 +5,7 @@ use nalgebra::{MatrixXx3, RowVector3};
 
 /// Stiffnesses of a ligament.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Stiffness {
+pub struct LigamentStiffness {
     /// k_l (N/mm).
     pub stretch: f64,
     /// k_s (N/mm).
@@ -16,7 +16,7 @@ pub struct Stiffness {
 
 /// Contact between the edges that face each other across a ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Contact {
+pub struct EdgeContact {
     /// k_c (N·mm/rad²).
     pub stiffness: f64,
     /// ψ_min (rad): smaller void angles are forbidden.
@@ -45,7 +45,7 @@ pub struct Parameters {
 impl Parameters {
     /// Parameters of a scene; `contact` is 0 without contact.
     pub fn of(scene: &Scene) -> Self {
-        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let LigamentStiffness { stretch, shear, bend } = scene.stiffness;
         let contact = scene.contact.map_or(0.0, |c| c.stiffness);
         Self { stretch, shear, bend, damping_ratio: scene.damping_ratio, density: scene.density, contact }
     }
@@ -53,9 +53,9 @@ impl Parameters {
     /// `scene` with these parameters.
     pub fn set(self, scene: &Scene) -> Scene {
         let Self { stretch, shear, bend, damping_ratio, density, contact: stiffness } = self;
-        let contact = scene.contact.map(|c| Contact { stiffness, ..c });
+        let contact = scene.contact.map(|c| EdgeContact { stiffness, ..c });
         Scene {
-            stiffness: Stiffness { stretch, shear, bend },
+            stiffness: LigamentStiffness { stretch, shear, bend },
             damping_ratio,
             density,
             contact,
@@ -86,7 +86,7 @@ pub struct PartFactors {
 
 /// Maxwell branch: a spring and a dashpot in series, parallel to each stiffness of every ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Relaxation {
+pub struct MaxwellBranch {
     /// g: stiffness of the spring divided by that of the ligament.
     pub share: f64,
     /// τ (s): time in which the branch force falls to 1/e.
@@ -95,14 +95,14 @@ pub struct Relaxation {
 
 /// Additional mass on the centroid of a unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Inertia {
+pub struct AddedMass {
     /// Mass (Mg).
     pub mass: f64,
     /// Moment of inertia about the centroid (Mg·mm²).
     pub moment: f64,
 }
 
-impl Inertia {
+impl AddedMass {
     /// (m, m, J) of the chip on a unit; zero without a chip.
     pub(super) fn mass_on_unit(scene: &Scene, unit: usize) -> [f64; 3] {
         match scene.chip {
@@ -123,7 +123,7 @@ pub struct Mount {
 
 /// Frame of measured accelerations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Frame {
+pub enum AccelerationFrame {
     /// Fixed axes.
     #[default]
     World,
@@ -194,11 +194,11 @@ pub struct Scene {
     /// Plane density (Mg/mm²).
     pub density: f64,
     /// Stiffnesses of the ligaments.
-    pub stiffness: Stiffness,
+    pub stiffness: LigamentStiffness,
     /// Factors of single ligaments and units.
     pub parts: PartFactors,
     /// Relaxation of ligaments, only for evaluation: such a scene has no gradient.
-    pub relaxation: Option<Relaxation>,
+    pub relaxation: Option<MaxwellBranch>,
     /// ζ; a factor on C if `damping` is given.
     pub damping_ratio: f64,
     /// C of every unit (N·s/mm, N·s/mm, N·mm·s) at ζ = 1. `None`: computed from the mean unit.
@@ -206,7 +206,7 @@ pub struct Scene {
     /// Design α (mm) that sets the masses and moments of inertia of all designs. `None`: each design sets its own.
     pub inertia: Option<Vec<f64>>,
     /// Contact, if any; scenes without contact use faster kernels.
-    pub contact: Option<Contact>,
+    pub contact: Option<EdgeContact>,
     /// Whether strains are linear in the displacements.
     pub linearised: bool,
     /// Clamped units.
@@ -221,11 +221,11 @@ pub struct Scene {
     /// Units of the M sensors.
     pub sensors: Vec<usize>,
     /// Mass and inertia that each chip adds to its unit, if any.
-    pub chip: Option<Inertia>,
+    pub chip: Option<AddedMass>,
     /// Position and orientation of all chips; `None`: on the centroid, not tilted.
     pub mount: Option<Mount>,
     /// Frame of measured accelerations.
-    pub frame: Frame,
+    pub frame: AccelerationFrame,
     /// Length of a sample (s).
     pub duration: f64,
     /// T, number of instants.
@@ -296,6 +296,6 @@ impl Scene {
 
     /// Whether signals depend on the rotation of units.
     pub(super) fn reads_turns(&self) -> bool {
-        self.frame == Frame::Body || self.mount.is_some()
+        self.frame == AccelerationFrame::Body || self.mount.is_some()
     }
 }

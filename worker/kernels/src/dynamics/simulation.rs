@@ -3,7 +3,7 @@
 use super::forces::Forces;
 use super::model::Model;
 use super::scene::{Parameters, PartFactors, Scene};
-use super::solver::Plan;
+use super::solver::IntegrationPlan;
 use crate::simd::Width;
 
 /// Outcome of a sample.
@@ -57,7 +57,7 @@ impl Outcome {
 
 /// Work done, summed over samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counters {
+pub struct SimulationCounts {
     /// Evaluations of the forces, with or without derivatives.
     pub force_evaluations: u64,
     /// Accepted steps.
@@ -66,7 +66,7 @@ pub struct Counters {
     pub rejected: u64,
 }
 
-impl std::ops::AddAssign for Counters {
+impl std::ops::AddAssign for SimulationCounts {
     fn add_assign(&mut self, other: Self) {
         self.force_evaluations += other.force_evaluations;
         self.steps += other.steps;
@@ -138,9 +138,9 @@ pub struct Simulation {
     /// Outcome of each sample.
     pub outcomes: Vec<Outcome>,
     /// Work done.
-    pub counters: Counters,
+    pub counters: SimulationCounts,
     /// Integration method and steps, with the reason.
-    pub plan: Plan,
+    pub plan: IntegrationPlan,
     /// Instruction set of the kernels.
     pub width: Width,
     /// Input of derivatives, if kept.
@@ -159,7 +159,7 @@ pub struct Gradient {
     /// Gradient in the histories (N, K, R+1), if requested.
     pub forces: Option<Vec<f64>>,
     /// Work done.
-    pub counters: Counters,
+    pub counters: SimulationCounts,
 }
 
 /// Variables of a gradient.

@@ -7,7 +7,7 @@ use super::schemes::Scheme;
 
 /// Integrators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Method {
+pub enum Integrator {
     /// Chosen from the scene and the accuracy.
     Auto,
     /// Tsitouras 5(4) with error control per sample.
@@ -20,7 +20,7 @@ pub enum Method {
     Nystrom6,
 }
 
-impl Method {
+impl Integrator {
     /// Name in specs and records.
     pub fn name(self) -> &'static str {
         match self {
@@ -102,9 +102,9 @@ pub enum Precision {
 
 /// Settings of the integration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Solver {
+pub struct IntegratorSettings {
     /// The integrator.
-    pub method: Method,
+    pub method: Integrator,
     /// Requested error of the signals. After a pilot of equal steps: the error for which the method's law gives the pilot's
     /// steps.
     pub accuracy: Accuracy,
@@ -114,21 +114,21 @@ pub struct Solver {
     pub single_below: f64,
 }
 
-impl Solver {
+impl IntegratorSettings {
     /// A solver for this error of the signals.
-    pub const fn new(method: Method, accuracy: Accuracy) -> Self {
+    pub const fn new(method: Integrator, accuracy: Accuracy) -> Self {
         Self { method, accuracy, tolerance: None, single_below: 0.0 }
     }
 
     /// Tsit5 with this tolerance of its error norm.
     pub const fn tsit5(tolerance: Tolerance) -> Self {
         let accuracy = Accuracy(tolerance.relative / Tolerance::TOLERANCE_PER_ACCURACY);
-        Self { tolerance: Some(tolerance), ..Self::new(Method::Tsit5, accuracy) }
+        Self { tolerance: Some(tolerance), ..Self::new(Integrator::Tsit5, accuracy) }
     }
 
     /// This solver with equal steps, for finite differences: the steps then do not change with the body.
     pub fn in_equal_steps(self) -> Self {
-        let method = if self.method == Method::Tsit5 { Method::Auto } else { self.method };
+        let method = if self.method == Integrator::Tsit5 { Integrator::Auto } else { self.method };
         Self { method, ..self }
     }
 
@@ -172,9 +172,9 @@ impl Steps {
 
 /// The integration that `choose` has selected for one scene.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plan {
+pub struct IntegrationPlan {
     /// Never `Auto`.
-    pub method: Method,
+    pub method: Integrator,
     /// Adaptive for Tsit5, equal for the others.
     pub steps: Steps,
     /// `Single` only with equal steps.
@@ -183,15 +183,15 @@ pub struct Plan {
     pub reason: String,
 }
 
-impl Plan {
+impl IntegrationPlan {
     /// Tsit5 with this tolerance.
     pub fn tsit5(tolerance: Tolerance) -> Self {
         let steps = Steps::Adaptive(tolerance);
-        Self { method: Method::Tsit5, steps, precision: Precision::Double, reason: String::new() }
+        Self { method: Integrator::Tsit5, steps, precision: Precision::Double, reason: String::new() }
     }
 
     /// A method with `steps` equal steps per interval, in f64.
-    pub fn equal(method: Method, steps: usize) -> Self {
+    pub fn equal(method: Integrator, steps: usize) -> Self {
         let steps = Steps::Equal(steps);
         Self { method, steps, precision: Precision::Double, reason: String::new() }
     }

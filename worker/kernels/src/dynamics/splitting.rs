@@ -10,14 +10,14 @@
 //! from the next checkpoint, with the forces that the evaluations of second derivatives also return.
 
 use super::balance::Balance;
-use super::jobs::{Backward, Job};
+use super::jobs::{Backward, SampleJob};
 use super::ligaments::Place;
 use super::loads::LockstepForces;
 use super::model::{Model, ModelCotangent};
 use super::readings::{load_lanes, read_lane, store_lane};
 use super::schemes::{Drift, Scheme};
 use super::system::{System, Unit, add_into};
-use super::{Counters, Forces, Outcome, Scene};
+use super::{Forces, Outcome, Scene, SimulationCounts};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
 
@@ -203,9 +203,9 @@ pub fn forward<V: Vector>(
     substeps: usize,
     checkpoints_per_interval: usize,
     forces: &Forces,
-    jobs: &mut [Job<'_>],
+    jobs: &mut [SampleJob<'_>],
     heartbeat: &Heartbeat,
-) -> Counters {
+) -> SimulationCounts {
     let scene = system.scene;
     let model = system.model;
     let free = &model.free;
@@ -219,7 +219,7 @@ pub fn forward<V: Vector>(
     let (mut x, mut v, mut g, mut a) = (system.start(), system.places(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
     if begin.first == instants {
-        return Counters::default();
+        return SimulationCounts::default();
     }
 
     loads.at(begin.first * substeps, 0.0, &mut force);
@@ -287,7 +287,11 @@ pub fn forward<V: Vector>(
     }
     let lanes = jobs.len() as u64;
     let steps = ((instants - begin.first) * substeps) as u64;
-    Counters { force_evaluations: lanes * (1 + steps * stages as u64), steps: lanes * steps, rejected: 0 }
+    SimulationCounts {
+        force_evaluations: lanes * (1 + steps * stages as u64),
+        steps: lanes * steps,
+        rejected: 0,
+    }
 }
 
 /// Cotangents of the states and of the next force evaluation.
@@ -362,7 +366,7 @@ pub fn reverse<V: Vector>(
     sweeps: &[Backward<'_>],
     forces_asked: bool,
     heartbeat: &Heartbeat,
-) -> (Vec<f64>, Counters) {
+) -> (Vec<f64>, SimulationCounts) {
     let scene = system.scene;
     let model = system.model;
     let free = &model.free;
@@ -386,7 +390,7 @@ pub fn reverse<V: Vector>(
     let mut margin = zero;
     let mut evaluations = 1;
     if begin.first == instants {
-        return (Vec::new(), Counters::default());
+        return (Vec::new(), SimulationCounts::default());
     }
 
     for interval in (begin.first..instants).rev() {
@@ -502,7 +506,7 @@ pub fn reverse<V: Vector>(
     }
     add_into(&mut system.cotangent.start, &bars.x);
     let lanes = sweeps.len() as u64;
-    let counters = Counters {
+    let counters = SimulationCounts {
         force_evaluations: lanes * evaluations,
         steps: lanes * ((instants - begin.first) * substeps) as u64,
         rejected: 0,

@@ -3,7 +3,7 @@
 use super::ligaments::{Place, ShapeCotangent, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
 use super::readings::{Mounted, cos_sin};
-use super::{Forces, Frame, Scene};
+use super::{AccelerationFrame, Forces, Scene};
 use crate::lanes::{Scalar, Vector};
 
 /// (u, v, θ) of one unit, or their cotangents, in lanes.
@@ -428,7 +428,7 @@ impl<'a, V: Vector> System<'a, V> {
                 let (at, omega) =
                     (Mounted::new(mount, self.scene.frame, V::narrow(x[u][2])), V::narrow(v[u][2]));
                 let (read, [bx, by]) = (at.read(omega, a[u]), at.back([p, q]));
-                if self.scene.frame == Frame::Body {
+                if self.scene.frame == AccelerationFrame::Body {
                     bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;
                 }
                 let ([px, py], alpha) = (at.arm, a[u][2]);
@@ -440,7 +440,7 @@ impl<'a, V: Vector> System<'a, V> {
                 bar_x[u][2] = bar_x[u][2] - alpha * along - omega * omega * across;
                 continue;
             }
-            if self.scene.frame == Frame::Body {
+            if self.scene.frame == AccelerationFrame::Body {
                 let (c, s) = cos_sin(V::narrow(x[u][2]));
                 let read = [c * a[u][0] + s * a[u][1], c * a[u][1] - s * a[u][0]];
                 bar_x[u][2] = bar_x[u][2] + read[1] * p - read[0] * q;

@@ -12,11 +12,11 @@ mod reverse;
 mod stages;
 mod steps;
 
-use super::jobs::{Job, Queue, take};
+use super::jobs::{SampleJob, SampleQueue, take};
 use super::loads::FreeForces;
 use super::readings::{read_lane, store_lane};
 use super::system::{System, Unit};
-use super::{Counters, Forces, Outcome, Tolerance};
+use super::{Forces, Outcome, SimulationCounts, Tolerance};
 use crate::Heartbeat;
 use crate::lanes::{LANES, Vector};
 pub use reverse::reverse;
@@ -32,7 +32,7 @@ const LEAST_STEP: f64 = 1e-11;
 /// State of a lane.
 #[derive(Default)]
 struct Lane<'s, 'a> {
-    job: Option<&'s mut Job<'a>>,
+    job: Option<&'s mut SampleJob<'a>>,
     interval: usize,
     /// Time since the start of the interval.
     tau: f64,
@@ -52,9 +52,9 @@ pub fn forward<V: Vector<Wide = V>>(
     mut system: System<'_, V>,
     forces: &Forces,
     tolerance: Tolerance,
-    queue: &Queue<'_, '_>,
+    queue: &SampleQueue<'_, '_>,
     heartbeat: &Heartbeat,
-) -> Counters {
+) -> SimulationCounts {
     let scene = system.scene;
     // intervals of the forces; every `kinks`-th ends at an instant of the scene
     let (instants, kinks) = (forces.instants, forces.kinks(scene));
@@ -70,7 +70,7 @@ pub fn forward<V: Vector<Wide = V>>(
     let mut a: [Vec<Unit<V>>; 7] = std::array::from_fn(|_| system.zeros());
     let mut force = vec![zero; scene.panels.len()];
     let mut loads = FreeForces::new(scene.panels.len());
-    let mut counters = Counters::default();
+    let mut counters = SimulationCounts::default();
     let mut lanes: [Lane<'_, '_>; LANES] = Default::default();
     let lanes = &mut lanes[..V::LANES];
     loop {

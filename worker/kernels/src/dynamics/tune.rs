@@ -7,7 +7,8 @@
 
 use super::choose::{Candidate, candidates, choose_under};
 use super::{
-    Accuracy, Counters, Forces, Method, Outcome, Plan, Precision, Scene, Simulation, Solver, Tolerance, run,
+    Accuracy, Forces, IntegrationPlan, Integrator, IntegratorSettings, Outcome, Precision, Scene, Simulation,
+    SimulationCounts, Tolerance, run,
 };
 use crate::lanes::LANES;
 
@@ -15,13 +16,13 @@ use crate::lanes::LANES;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuned {
     /// Solver with a definite method. Its accuracy or tolerance also gives the requested error for other designs.
-    pub solver: Solver,
+    pub solver: IntegratorSettings,
     /// Plan of this solver for the pilot's design.
-    pub plan: Plan,
+    pub plan: IntegrationPlan,
     /// Relative error of the pilot's signals; `None` if not measured.
     pub error: Option<f64>,
     /// Work of the pilot.
-    pub counters: Counters,
+    pub counters: SimulationCounts,
 }
 
 /// Least ratio of requested to measured error: later samples and bodies differ from the pilot's.
@@ -46,15 +47,21 @@ pub fn keeps_error(reason: &str) -> bool {
 ///
 /// # Panics
 /// As `simulate`.
-pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &crate::Pool) -> Tuned {
+pub fn tune(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    solver: &IntegratorSettings,
+    pool: &crate::Pool,
+) -> Tuned {
     let requested = solver.accuracy.0;
     let first: Vec<usize> = (0..forces.samples.min(LANES)).collect();
     let mut pilot =
-        Pilot { scene, design, forces: forces.select(&first), pool, counters: Counters::default() };
-    let adaptive = solver.method == Method::Tsit5;
+        Pilot { scene, design, forces: forces.select(&first), pool, counters: SimulationCounts::default() };
+    let adaptive = solver.method == Integrator::Tsit5;
     let tune_by_law = |why: Option<String>, counters| {
         let tolerance = adaptive.then(|| Tolerance::from(solver.accuracy));
-        let solver = Solver { tolerance, ..*solver };
+        let solver = IntegratorSettings { tolerance, ..*solver };
         let mut plan = choose_under(scene, design, forces.kinks(scene), &solver);
         if let Some(why) = why {
             plan.reason = format!("{}; {why}", plan.reason);
@@ -64,23 +71,23 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let all = candidates(scene, design, forces.kinks(scene));
     let has_motion = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].highest > 0.0;
     if !has_motion || scene.sensors.is_empty() {
-        return tune_by_law(None, Counters::default());
+        return tune_by_law(None, SimulationCounts::default());
     }
-    let six = all.iter().find(|c| c.law.method == Method::Nystrom6).expect("a law");
+    let six = all.iter().find(|c| c.law.method == Integrator::Nystrom6).expect("a law");
     let (reference, known) = match pilot.reference(six, requested) {
         Ok(found) => found,
         Err((refined, off)) => {
             let left = if off.is_finite() { format!("{off:.0e}") } else { "unknown".to_owned() };
             let why = format!("no number of steps {UNREACHED}; the remaining error is {left}");
             let own = |c: &&Candidate| c.law.method == solver.method;
-            let method = if solver.method == Method::Auto { Some(six) } else { all.iter().find(own) };
+            let method = if solver.method == Integrator::Auto { Some(six) } else { all.iter().find(own) };
             let Some(candidate) = method.filter(|_| refined > 1) else {
                 return tune_by_law(Some(why), pilot.counters);
             };
             let steps = refined * candidate.steps(Accuracy(requested.min(0.01)));
             let plan = candidate.plan(steps, candidate.reason(steps, &why));
             let exact = steps as f64 * (1.0 - 1e-9);
-            let solver = Solver::new(plan.method, candidate.accuracy(exact));
+            let solver = IntegratorSettings::new(plan.method, candidate.accuracy(exact));
             return Tuned { solver, plan, error: None, counters: pilot.counters };
         }
     };
@@ -92,12 +99,14 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
             "tsit5 with error norm tolerance {tolerance:.1e}: measured error {error:.0e}, requested {requested:.0e}"
         );
         let tolerance = Tolerance::both(tolerance);
-        let solver = Solver { tolerance: Some(tolerance), ..*solver };
-        let plan = Plan { reason, ..Plan::tsit5(tolerance) };
+        let solver = IntegratorSettings { tolerance: Some(tolerance), ..*solver };
+        let plan = IntegrationPlan { reason, ..IntegrationPlan::tsit5(tolerance) };
         return Tuned { solver, plan, error: Some(error), counters: pilot.counters };
     }
-    let mut open: Vec<Candidate> =
-        all.into_iter().filter(|c| solver.method == Method::Auto || solver.method == c.law.method).collect();
+    let mut open: Vec<Candidate> = all
+        .into_iter()
+        .filter(|c| solver.method == Integrator::Auto || solver.method == c.law.method)
+        .collect();
     let mut best: Option<(Candidate, MinimalSteps)> = None;
     // Cheapest by their laws first. A method with more work than the best measured one is skipped.
     open.sort_by_key(|c| c.steps(solver.accuracy) * c.law.work);
@@ -107,7 +116,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         if work(candidate.steps(solver.accuracy)) >= bound {
             continue;
         }
-        let known = Some(known).filter(|_| candidate.law.method == Method::Nystrom6);
+        let known = Some(known).filter(|_| candidate.law.method == Integrator::Nystrom6);
         if let Some(fewest) = pilot.find_min_steps(&candidate, &reference, requested, known)
             && work(fewest.steps) < bound
         {
@@ -122,9 +131,12 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let (precision, error) = rounded.map_or((Precision::Double, error), |error| (Precision::Single, error));
     let bits = if rounded.is_some() { "f32, " } else { "" };
     let why = format!("{bits}measured error {error:.0e}, requested {requested:.0e}");
-    let plan = Plan { precision, reason: candidate.reason(steps, &why), ..plan };
+    let plan = IntegrationPlan { precision, reason: candidate.reason(steps, &why), ..plan };
     let single = rounded.map_or(0.0, |_| candidate.single(solver.accuracy));
-    let solver = Solver { single_below: single, ..Solver::new(plan.method, candidate.accuracy(exact)) };
+    let solver = IntegratorSettings {
+        single_below: single,
+        ..IntegratorSettings::new(plan.method, candidate.accuracy(exact))
+    };
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
 }
 
@@ -146,7 +158,7 @@ struct Pilot<'a> {
     design: &'a [f64],
     forces: Forces,
     pool: &'a crate::Pool,
-    counters: Counters,
+    counters: SimulationCounts,
 }
 
 impl Pilot<'_> {
@@ -154,14 +166,14 @@ impl Pilot<'_> {
     fn rounded(
         &mut self,
         candidate: &Candidate,
-        plan: &Plan,
+        plan: &IntegrationPlan,
         reference: &Simulation,
         requested: f64,
     ) -> Option<f64> {
         if candidate.highest > candidate.single(Accuracy(requested)) {
             return None;
         }
-        let plan = Plan { precision: Precision::Single, ..plan.clone() };
+        let plan = IntegrationPlan { precision: Precision::Single, ..plan.clone() };
         Some(self.error(&plan, reference)).filter(|error| SAFETY * error <= requested)
     }
 
@@ -169,7 +181,7 @@ impl Pilot<'_> {
         self.run_plan(&candidate.plan(steps, String::new()))
     }
 
-    fn run_plan(&mut self, plan: &Plan) -> Simulation {
+    fn run_plan(&mut self, plan: &IntegrationPlan) -> Simulation {
         let simulation = run(self.scene, self.design, &self.forces, plan, false, self.pool);
         self.counters += simulation.counters;
         simulation
@@ -177,7 +189,7 @@ impl Pilot<'_> {
 
     /// Error of a plan against the reference solution. Infinite if additional samples fail, or if samples were repeated with
     /// finer steps, which is expensive.
-    fn error(&mut self, plan: &Plan, reference: &Simulation) -> f64 {
+    fn error(&mut self, plan: &IntegrationPlan, reference: &Simulation) -> f64 {
         let simulation = self.run_plan(plan);
         let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
         let halved = simulation.plan.steps.count() > 0 && simulation.counters.rejected > 0;
@@ -202,7 +214,7 @@ impl Pilot<'_> {
         let mut tolerance = Tolerance::from(Accuracy(requested)).relative;
         let mut good: Option<(f64, f64)> = None;
         for _ in 0..TRIES {
-            let error = self.error(&Plan::tsit5(Tolerance::both(tolerance)), reference);
+            let error = self.error(&IntegrationPlan::tsit5(Tolerance::both(tolerance)), reference);
             let keeps = SAFETY * error <= requested;
             if keeps && good.is_none_or(|(t, _)| tolerance > t) {
                 good = Some((tolerance, error));

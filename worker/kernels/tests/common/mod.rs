@@ -1,14 +1,14 @@
 //! Functions shared by the property tests.
 
 use metasense_kernels::body::Layout;
-use metasense_kernels::dynamics::{Panel, Scene, Stiffness};
+use metasense_kernels::dynamics::{LigamentStiffness, Panel, Scene};
 
 /// A square lattice of the reference material, clamped below, with panel and sensor on its last unit, for 0.1 s.
 pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
     Scene {
         layout: Layout::planar(columns, rows, 15.0, 2.25),
         density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        stiffness: LigamentStiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         damping_ratio: 0.02,
         clamped: (0..columns).collect(),
         panels: vec![Panel::central(columns * rows - 1, [0.6, -0.8])],

@@ -3,8 +3,8 @@
 use crate::common::{norm, pool, relative};
 use crate::helpers::{by_too_few_steps, plan, pushes, shaken, small_scene};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, PrescribedMotion, Scene, Stiffness,
-    Tangent, Wrt, highest_frequency, run,
+    AccelerationFrame, EdgeContact, Forces, IntegrationPlan, Integrator, LigamentStiffness, Outcome, Panel,
+    Precision, PrescribedMotion, Scene, Tangent, Wrt, highest_frequency, run,
 };
 
 /// Mass (Mg) for which 0.4 N move the unit by about 1 mm in 0.1 s.
@@ -26,12 +26,12 @@ fn a_driven_unit_moves_as_its_history_says() {
     let scene = scene();
     let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
     let (row, delta) = (scene.instants + 1, scene.duration / scene.instants as f64);
-    let single = |plan: Plan| Plan { precision: Precision::Single, ..plan };
+    let single = |plan: IntegrationPlan| IntegrationPlan { precision: Precision::Single, ..plan };
     for (plan, off) in [
-        (plan(Method::Tsit5, 0), 1e-8),
-        (plan(Method::Leapfrog, 120), 1e-4), // order 2
-        (plan(Method::Nystrom6, 12), 1e-8),
-        (single(plan(Method::Nystrom6, 12)), 1e-6),
+        (plan(Integrator::Tsit5, 0), 1e-8),
+        (plan(Integrator::Leapfrog, 120), 1e-4), // order 2
+        (plan(Integrator::Nystrom6, 12), 1e-8),
+        (single(plan(Integrator::Nystrom6, 12)), 1e-6),
     ] {
         let run = run(&scene, &design, &forces, &plan, true, &pool(1));
         let (mut found, mut truth, mut places) = (Vec::new(), Vec::new(), [Vec::new(), Vec::new()]);
@@ -75,10 +75,10 @@ fn driving_all_held_units_is_shaking_the_base() {
     let same = |own: &[f64]| [&own[..row], &own[..row], own].concat();
     let values: Vec<f64> = forces.values.chunks(2 * row).flat_map(same).collect();
     let all = Forces { panels: 4, values, ..forces.clone() };
-    for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 60), plan(Method::Nystrom6, 12)] {
+    for plan in [plan(Integrator::Tsit5, 0), plan(Integrator::Leapfrog, 60), plan(Integrator::Nystrom6, 12)] {
         let one = run(&shaken_base, &design, &forces, &plan, true, &pool(1));
         let other = run(&driven, &design, &all, &plan, true, &pool(1));
-        let least = if plan.method == Method::Tsit5 { 1e-5 } else { 1e-8 };
+        let least = if plan.method == Integrator::Tsit5 { 1e-5 } else { 1e-8 };
         let off = relative(&other.signals, &one.signals);
         assert!(off < least, "{:?}: {off:e}", plan.method);
         let [mut ours, theirs] = [&other, &one].map(|run| run.vjp(&one.signals, Wrt::Forces, &pool(1)));
@@ -98,9 +98,9 @@ fn driving_all_held_units_is_shaking_the_base() {
 /// Gradients in design and forces equal differences, also for the driven unit's own nodes; jvp and vjp are adjoint.
 #[test]
 fn gradients_beside_a_driven_unit_are_those_of_differences() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    for scene in [scene(), Scene { frame: Frame::Body, contact, ..scene() }] {
-        for plan in [plan(Method::Leapfrog, 120), plan(Method::Nystrom6, 12)] {
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    for scene in [scene(), Scene { frame: AccelerationFrame::Body, contact, ..scene() }] {
+        for plan in [plan(Integrator::Leapfrog, 120), plan(Integrator::Nystrom6, 12)] {
             let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.2));
             let at = |design: &[f64], forces: &Forces| run(&scene, design, forces, &plan, true, &pool(1));
             let here = at(&design, &forces);
@@ -158,7 +158,7 @@ fn a_driven_unit_hides_no_instability() {
         ..scene()
     };
     for stretch in [3.0, 300.0, 3e5] {
-        let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base.clone() };
+        let scene = Scene { stiffness: LigamentStiffness { stretch, ..base.stiffness }, ..base.clone() };
         let scene = Scene { panels: vec![scene.panels[0]], ..scene };
         let found = by_too_few_steps(&scene);
         worst = worst.max(found.worst);
@@ -169,7 +169,7 @@ fn a_driven_unit_hides_no_instability() {
         named > 0 && refined > 0 && worst < 100.0,
         "{named} unstable, {refined} refined, {worst} times the truth"
     );
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base_too = Panel { moves: Some(PrescribedMotion::Base(MASS)), ..Panel::central(0, [0.6, 0.8]) };
     let both = Scene { panels: vec![base.panels[0], base_too], ..base.clone() };
     for (scene, amplitude) in
@@ -177,7 +177,7 @@ fn a_driven_unit_hides_no_instability() {
     {
         for precision in [Precision::Double, Precision::Single] {
             let (design, forces) = (shaken(&scene), pushes(&scene, 3, amplitude));
-            let plan = Plan { precision, ..plan(Method::Nystrom4, 200) };
+            let plan = IntegrationPlan { precision, ..plan(Integrator::Nystrom4, 200) };
             let run = run(&scene, &design, &forces, &plan, false, &pool(2));
             let well = (&[Outcome::Ok; 3][..], 0);
             assert_eq!((&run.outcomes[..], run.counters.rejected), well, "{amplitude} N, {precision:?}");

@@ -4,15 +4,15 @@ use crate::common::{norm, pool, relative};
 use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, PrescribedMotion, Scene,
-    Simulation, Solver, Wrt, run, tune,
+    AccelerationFrame, Accuracy, EdgeContact, Forces, IntegrationPlan, Integrator, IntegratorSettings,
+    Outcome, Panel, Precision, PrescribedMotion, Scene, Simulation, Wrt, run, tune,
 };
 
 /// Before its first force, a sample's signals are zero. Later signals and the gradient do not depend on the other samples in its
 /// vector.
 #[test]
 fn samples_begin_with_their_forces() {
-    for frame in [Frame::World, Frame::Body] {
+    for frame in [AccelerationFrame::World, AccelerationFrame::Body] {
         let scene = Scene { frame, ..small_scene() };
         let (design, mut forces) = (shaken(&scene), pushes(&scene, 21, 0.4));
         let (instants, width) = (scene.instants, 3 * scene.sensors.len());
@@ -29,7 +29,7 @@ fn samples_begin_with_their_forces() {
             }
         }
         for precision in [Precision::Double, Precision::Single] {
-            let plan = Plan { precision, ..plan(Method::Nystrom4, 24) };
+            let plan = IntegrationPlan { precision, ..plan(Integrator::Nystrom4, 24) };
             let all = run(&scene, &design, &forces, &plan, true, &pool(2));
             let of = |run: &Simulation| run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
             let together = of(&all);
@@ -64,7 +64,7 @@ fn a_blow_off_the_centroid_turns_the_unit() {
     let blows = struck(&scene, central.clone());
     let Geometry { mass, moment, arms, .. } = Geometry::new(&scene.layout, &design, scene.density);
     let (m, j, delta) = (mass[0], moment[0], scene.duration / scene.instants as f64);
-    for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 2), plan(Method::Nystrom6, 2)] {
+    for plan in [plan(Integrator::Tsit5, 0), plan(Integrator::Leapfrog, 2), plan(Integrator::Nystrom6, 2)] {
         for forces in [&central, &blows] {
             let run = run(&scene, &design, forces, &plan, false, &pool(1));
             let mut truth = Vec::new();
@@ -90,7 +90,7 @@ fn a_blow_off_the_centroid_turns_the_unit() {
         let scene = Scene { panels: vec![panel], ..scene.clone() };
         let off_centre = Panel { node: None, moment: turns, ..panel };
         let same = Scene { panels: vec![off_centre], ..scene.clone() };
-        for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 2)] {
+        for plan in [plan(Integrator::Tsit5, 0), plan(Integrator::Leapfrog, 2)] {
             let [one, other] =
                 [&scene, &same].map(|scene| run(scene, &design, &central, &plan, false, &pool(1)).signals);
             assert!(relative(&one, &other) < 1e-14 && norm(&one) > 0.0, "{panel:?}");
@@ -108,8 +108,10 @@ fn a_blow_off_the_centroid_turns_the_unit() {
 fn a_shaken_base_is_felt() {
     let mass_of_base = 3e-5;
     let shakes = Panel { moves: Some(PrescribedMotion::Base(mass_of_base)), ..Panel::central(0, [0.6, 0.8]) };
-    for frame in [Frame::World, Frame::Body] {
-        for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 120), plan(Method::Nystrom6, 12)] {
+    for frame in [AccelerationFrame::World, AccelerationFrame::Body] {
+        for plan in
+            [plan(Integrator::Tsit5, 0), plan(Integrator::Leapfrog, 120), plan(Integrator::Nystrom6, 12)]
+        {
             let base = small_scene();
             let scene = Scene { frame, panels: vec![shakes, base.panels[0]], ..base };
             let (design, forces) = (shaken(&scene), pushes(&scene, 9, 0.15));
@@ -119,7 +121,7 @@ fn a_shaken_base_is_felt() {
             let mass = scene.geometry(&design).mass;
             let free: Vec<usize> = (0..mass.len()).filter(|u| !scene.clamped.contains(u)).collect();
             let each = free.iter().map(|u| Panel::central(*u, [-0.6, -0.8])).chain([scene.panels[1]]);
-            let forced = Scene { panels: each.collect(), frame: Frame::World, ..scene.clone() };
+            let forced = Scene { panels: each.collect(), frame: AccelerationFrame::World, ..scene.clone() };
             let row = scene.instants + 1;
             let values = forces.values.chunks(2 * row).flat_map(|own| {
                 let by = free.iter().map(|u| mass[*u] / mass_of_base);
@@ -128,7 +130,7 @@ fn a_shaken_base_is_felt() {
             });
             let values = values.collect();
             let all = Forces { panels: free.len() + 1, values, ..forces.clone() };
-            if frame == Frame::World {
+            if frame == AccelerationFrame::World {
                 let mut other = run(&forced, &design, &all, &plan, false, &pool(1)).signals;
                 for (i, own) in other.chunks_mut(6).enumerate() {
                     let f = forces.values[i / scene.instants * 2 * row + i % scene.instants + 1];
@@ -138,7 +140,7 @@ fn a_shaken_base_is_felt() {
                     }
                 }
                 let off = relative(&here.signals, &other);
-                let least = if plan.method == Method::Tsit5 { 1e-4 } else { 1e-10 };
+                let least = if plan.method == Integrator::Tsit5 { 1e-4 } else { 1e-10 };
                 assert!(off < least, "{:?}: {off:e}", plan.method);
             }
 
@@ -158,7 +160,7 @@ fn a_shaken_base_is_felt() {
             let by_shape = |by| energy(&moved(&design, &shape, by), &forces);
             let by_force =
                 |by| energy(&design, &Forces { values: moved(&forces.values, &push, by), ..forces.clone() });
-            let steps = if plan.method == Method::Tsit5 { 1e-3 } else { 1e-6 };
+            let steps = if plan.method == Integrator::Tsit5 { 1e-3 } else { 1e-6 };
             for (what, difference, slope) in [
                 ("design", (by_shape(1e-4) - by_shape(-1e-4)) / 2e-4, slope(&found.design, &shape)),
                 (
@@ -185,21 +187,29 @@ fn a_shaken_base_is_felt() {
         ..small_scene()
     };
     let forces = pushes(&loose, 3, 0.4);
-    let run =
-        run(&loose, &loose.layout.initial_design(0.3), &forces, &plan(Method::Nystrom6, 4), false, &pool(1));
+    let run = run(
+        &loose,
+        &loose.layout.initial_design(0.3),
+        &forces,
+        &plan(Integrator::Nystrom6, 4),
+        false,
+        &pool(1),
+    );
     assert!(norm(&run.signals) < 1e-9 * 0.4 / mass_of_base, "{:e}", norm(&run.signals));
 }
 
 /// |J(f + εδ) − J(f) − ε g·δ| has slope 2 in ε, with J half the squared norm of the signals and two kinks per interval.
 #[test]
 fn gradients_in_the_forces_pass_a_taylor_test() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = small_scene();
     let mut slopes = Vec::new();
-    for scene in [base.clone(), Scene { frame: Frame::Body, contact, ..base }] {
+    for scene in [base.clone(), Scene { frame: AccelerationFrame::Body, contact, ..base }] {
         let fine = Scene { instants: 2 * scene.instants, ..scene.clone() };
         let (design, forces) = (shaken(&scene), struck(&scene, pushes(&fine, 9, 0.15)));
-        for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 120), (Method::Nystrom6, 12)] {
+        for (method, steps) in
+            [(Integrator::Tsit5, 0), (Integrator::Leapfrog, 120), (Integrator::Nystrom6, 12)]
+        {
             let plan = plan(method, steps);
             let at = |forces: &Forces| run(&scene, &design, forces, &plan, true, &pool(1));
             let here = at(&forces);
@@ -234,7 +244,7 @@ fn forces_of_zero_have_a_gradient() {
             *f *= [f64::from(u8::from(n % row > 9)), 1.0, 0.0, 1e300][i];
         }
     }
-    for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom4, 24)] {
+    for (method, steps) in [(Integrator::Tsit5, 0), (Integrator::Leapfrog, 60), (Integrator::Nystrom4, 24)] {
         let plan = plan(method, steps);
         let at = |forces: &Forces| run(&scene, &design, forces, &plan, true, &pool(1));
         let here = at(&forces);
@@ -251,12 +261,12 @@ fn forces_of_zero_have_a_gradient() {
         let [less, more] = [Wrt::Design, Wrt::Forces].map(|wrt| {
             first.vjp(&cotangent[..cotangent.len() / 4], wrt, &pool(1)).counters.force_evaluations
         });
-        assert_eq!(less < more, method != Method::Tsit5, "{method:?}: {less} {more}");
+        assert_eq!(less < more, method != Integrator::Tsit5, "{method:?}: {less} {more}");
         let found = gradient.forces.expect("asked for");
         assert!(found[3 * 2 * row..].iter().all(|g| *g == 0.0));
         // Where nothing moves, adaptive steps are too long for an accurate gradient: differences use other steps.
         let entries = [10, 2 * row + 7, 3 * row, 5, row + 3, 4 * row, 5 * row + 12];
-        for at_entry in &entries[..if method == Method::Tsit5 { 3 } else { 7 }] {
+        for at_entry in &entries[..if method == Integrator::Tsit5 { 3 } else { 7 }] {
             let value = |step: f64| {
                 let mut moved = forces.clone();
                 moved.values[*at_entry] += step;
@@ -277,13 +287,13 @@ fn forces_of_zero_have_a_gradient() {
 /// Steps that miss kinks are rounded up; a pilot respects the kinks.
 #[test]
 fn forces_may_have_a_finer_clock_than_the_signals() {
-    let coarse = Scene { frame: Frame::Body, ..small_scene() };
+    let coarse = Scene { frame: AccelerationFrame::Body, ..small_scene() };
     let fine = Scene { instants: 4 * coarse.instants, ..coarse.clone() };
     let (design, mut forces) = (shaken(&coarse), pushes(&fine, 2, 0.4));
     forces.values.iter_mut().enumerate().for_each(|(i, f)| *f += 0.1 * (1.9 * i as f64).sin());
     let width = 3 * coarse.sensors.len();
     let methods = EQUAL_STEPS.map(|(method, _, steps)| (method, steps)).into_iter();
-    for (method, steps) in methods.chain([(Method::Tsit5, 0)]) {
+    for (method, steps) in methods.chain([(Integrator::Tsit5, 0)]) {
         let solve = |scene: &Scene, steps| run(scene, &design, &forces, &plan(method, steps), true, &pool(1));
         let (ours, theirs) = (solve(&coarse, 4 * steps), solve(&fine, steps));
         let every_fourth: Vec<f64> =
@@ -301,7 +311,7 @@ fn forces_may_have_a_finer_clock_than_the_signals() {
             assert_eq!(solve(&coarse, 4 * steps - 1).signals, ours.signals, "{method:?}");
         }
     }
-    let solver = Solver::new(Method::Auto, Accuracy(1e-3));
+    let solver = IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3));
     let tuned = tune(&coarse, &design, &forces, &solver, &pool(1));
     assert!(tuned.plan.steps.count().is_multiple_of(4) && tuned.error.is_some_and(|e| e < 1e-3), "{tuned:?}");
 }

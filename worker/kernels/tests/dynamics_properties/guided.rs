@@ -4,7 +4,7 @@ use crate::common::{pool, relative};
 use crate::helpers::{plan, pushes, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
-    Contact, Method, Outcome, Panel, Precision, PrescribedMotion, Scene, Wrt, highest_frequency, run,
+    EdgeContact, Integrator, Outcome, Panel, Precision, PrescribedMotion, Scene, Wrt, highest_frequency, run,
 };
 
 /// Unrotated squares in three columns, with a force and base motion along the middle column. By mirror symmetry, units of this column
@@ -18,7 +18,7 @@ fn mirrored(guided: bool) -> Scene {
         guided: guides.into_iter().map(|unit| (unit, [true, false, true])).collect(),
         panels: vec![Panel::central(10, [0.0, -1.0]), shaken],
         sensors: vec![3, 4, 8],
-        contact: Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 1.6 }),
+        contact: Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 1.6 }),
         layout,
         ..small_scene()
     }
@@ -32,13 +32,13 @@ fn guides_on_a_mirror_change_nothing() {
     let design = scenes[0].layout.initial_design(0.0);
     let highest = [&scenes[0], &scenes[1]].map(|scene| highest_frequency(scene, &design));
     assert!(highest[1] <= highest[0] * (1.0 + 1e-9), "{highest:?}");
-    for (method, steps) in [(Method::Leapfrog, 60), (Method::Nystrom6, 24), (Method::Tsit5, 0)] {
+    for (method, steps) in [(Integrator::Leapfrog, 60), (Integrator::Nystrom6, 24), (Integrator::Tsit5, 0)] {
         for precision in [Precision::Double, Precision::Single] {
-            if method == Method::Tsit5 && precision == Precision::Single {
+            if method == Integrator::Tsit5 && precision == Precision::Single {
                 continue;
             }
             let [free, held] = [&scenes[0], &scenes[1]].map(|scene| {
-                let plan = metasense_kernels::dynamics::Plan { precision, ..plan(method, steps) };
+                let plan = metasense_kernels::dynamics::IntegrationPlan { precision, ..plan(method, steps) };
                 let run = run(scene, &design, &forces, &plan, true, &pool(1));
                 assert_eq!(run.outcomes, [Outcome::Ok; 2]);
                 let gradient = run.vjp(&run.signals, Wrt::Forces, &pool(1));

@@ -2,7 +2,8 @@
 
 use crate::common::{norm, pool, scene};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Method, Outcome, Panel, Plan, Scene, Solver, Tolerance, run, simulate,
+    Accuracy, EdgeContact, Forces, IntegrationPlan, Integrator, IntegratorSettings, Outcome, Panel, Scene,
+    Tolerance, run, simulate,
 };
 use std::f64::consts::TAU;
 
@@ -49,19 +50,19 @@ pub fn shaken(scene: &Scene) -> Vec<f64> {
     design
 }
 
-pub fn plan(method: Method, steps: usize) -> Plan {
+pub fn plan(method: Integrator, steps: usize) -> IntegrationPlan {
     match method {
-        Method::Tsit5 => Plan::tsit5(Tolerance::both(1e-10)),
-        method => Plan::equal(method, steps),
+        Integrator::Tsit5 => IntegrationPlan::tsit5(Tolerance::both(1e-10)),
+        method => IntegrationPlan::equal(method, steps),
     }
 }
 
-pub const EQUAL_STEPS: [(Method, f64, usize); 3] =
-    [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
+pub const EQUAL_STEPS: [(Integrator, f64, usize); 3] =
+    [(Integrator::Leapfrog, 2.0, 64), (Integrator::Nystrom4, 4.0, 36), (Integrator::Nystrom6, 6.0, 12)];
 
 /// The scene without contact, with contact, and with linear strains.
 pub fn of_every_law(base: Scene) -> [Scene; 3] {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }]
 }
 
@@ -78,10 +79,10 @@ pub struct UnstableRuns {
 /// Runs three samples with every method of equal steps, with 1 to 21 steps per interval.
 pub fn by_too_few_steps(scene: &Scene) -> UnstableRuns {
     let (design, forces) = (shaken(scene), pushes(scene, 3, 0.4));
-    let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));
+    let tight = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-4));
     let truth = norm(&simulate(scene, &design, &forces, &tight, false, &pool(2)).signals);
     let mut found = UnstableRuns { unstable: 0, refined: 0, worst: 0.0 };
-    for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
+    for method in [Integrator::Leapfrog, Integrator::Nystrom4, Integrator::Nystrom6] {
         for steps in [1, 2, 3, 5, 8, 13, 21] {
             let run = run(scene, &design, &forces, &plan(method, steps), false, &pool(1));
             let size = norm(&run.signals) / truth;

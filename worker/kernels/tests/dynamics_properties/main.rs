@@ -12,9 +12,10 @@ use common::{norm, pool, relative, scene};
 use helpers::{EQUAL_STEPS, by_too_few_steps, of_every_law, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters,
-    PartFactors, Plan, Precision, Scene, Solver, Stiffness, Tolerance, Wrt, choose, energy,
-    energy_design_gradient, energy_gradient, highest_frequency, run, signal_error, simulate, tune,
+    AccelerationFrame, Accuracy, AddedMass, EdgeContact, Energy, Forces, IntegrationPlan, Integrator,
+    IntegratorSettings, LigamentStiffness, Mount, Outcome, Panel, Parameters, PartFactors, Precision, Scene,
+    Tolerance, Wrt, choose, energy, energy_design_gradient, energy_gradient, highest_frequency, run,
+    signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
@@ -23,16 +24,18 @@ use std::f64::consts::TAU;
 /// All instruction sets agree up to rounding; each tape is swept by the instruction set that created it.
 #[test]
 fn every_width_computes_the_same() {
-    let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
+    let contact = EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
     let base = small_scene();
     let mut apart = Vec::new();
     for scene in [
         base.clone(),
         Scene { linearised: true, ..base.clone() },
-        Scene { frame: Frame::Body, contact: Some(contact), ..base },
+        Scene { frame: AccelerationFrame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), struck(&scene, pushes(&scene, 11, 0.4)));
-        for plan in [Plan::tsit5(Tolerance::both(1e-6)), Plan::equal(Method::Nystrom4, 24)] {
+        for plan in
+            [IntegrationPlan::tsit5(Tolerance::both(1e-6)), IntegrationPlan::equal(Integrator::Nystrom4, 24)]
+        {
             let at = |width| {
                 let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
                 let run = run(&scene, &design, &forces, &plan, true, &pool);
@@ -62,19 +65,19 @@ fn every_width_computes_the_same() {
 /// With forces in f32 and positions in f64, signals and gradient equal those in f64 up to rounding, for every instruction set.
 #[test]
 fn steps_in_single_precision_are_those_in_double() {
-    let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 };
+    let contact = EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 };
     let base = small_scene();
     let mut apart = Vec::new();
     for scene in [
         base.clone(),
         Scene { linearised: true, ..base.clone() },
-        Scene { frame: Frame::Body, contact: Some(contact), ..base },
+        Scene { frame: AccelerationFrame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
         for (method, _, steps) in EQUAL_STEPS {
             for width in Width::ALL.into_iter().filter(|w| *w <= Width::detect()) {
                 let at = |precision, steps| {
-                    let plan = Plan { precision, ..plan(method, steps) };
+                    let plan = IntegrationPlan { precision, ..plan(method, steps) };
                     let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
                     let run = run(&scene, &design, &forces, &plan, true, &pool);
                     assert_eq!(run.outcomes, [Outcome::Ok; 19]);
@@ -98,7 +101,7 @@ fn a_sample_moves_alike_among_few_and_many() {
     for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
         for (method, _, steps) in EQUAL_STEPS {
             let of = |samples: &[usize]| {
-                let plan = Plan { precision: Precision::Single, ..plan(method, steps) };
+                let plan = IntegrationPlan { precision: Precision::Single, ..plan(method, steps) };
                 let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
                 let run = run(&scene, &design, &forces.select(samples), &plan, true, &pool);
                 let gradient = run.vjp(&run.signals, Wrt::Design, &pool).design;
@@ -136,14 +139,14 @@ fn second() -> (Scene, Forces) {
 #[test]
 fn rounding_of_forces_keeps_its_law() {
     let (base, forces) = second();
-    let stiffness = Stiffness { stretch: 30.0, ..base.stiffness };
+    let stiffness = LigamentStiffness { stretch: 30.0, ..base.stiffness };
     let mut apart = Vec::new();
     for scene in [base.clone(), Scene { linearised: true, ..base.clone() }, Scene { stiffness, ..base }] {
         let design = shaken(&scene);
         let radians = highest_frequency(&scene, &design) * scene.duration / scene.instants as f64;
-        for method in [Method::Nystrom4, Method::Nystrom6] {
-            let double = choose(&scene, &design, &Solver::new(method, Accuracy(1e-3)));
-            let single = Plan { precision: Precision::Single, ..double.clone() };
+        for method in [Integrator::Nystrom4, Integrator::Nystrom6] {
+            let double = choose(&scene, &design, &IntegratorSettings::new(method, Accuracy(1e-3)));
+            let single = IntegrationPlan { precision: Precision::Single, ..double.clone() };
             let [single, double] = [single, double].map(|plan| {
                 let run = run(&scene, &design, &forces, &plan, true, &pool(1));
                 let gradient = run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
@@ -172,9 +175,9 @@ fn parts_that_are_alike_are_the_material() {
             Scene { parts, ..scene.clone() }
         };
         let parts = with([1.3, 1.7, 1.7, 1.2]);
-        let Stiffness { stretch, shear, bend } = scene.stiffness;
+        let LigamentStiffness { stretch, shear, bend } = scene.stiffness;
         let material = Scene {
-            stiffness: Stiffness { stretch: 1.3 * stretch, shear: 1.7 * shear, bend: 1.7 * bend },
+            stiffness: LigamentStiffness { stretch: 1.3 * stretch, shear: 1.7 * shear, bend: 1.7 * bend },
             density: 1.2 * scene.density,
             damping_ratio: scene.damping_ratio / (1.7f64 * 1.2).sqrt(),
             ..scene.clone()
@@ -188,7 +191,7 @@ fn parts_that_are_alike_are_the_material() {
             [vec![elastic, contact], gradient, energy_design_gradient(scene, &design, &state)]
         };
         let moving = |scene: &Scene| {
-            let run = run(scene, &design, &forces, &plan(Method::Nystrom6, 24), true, &pool(1));
+            let run = run(scene, &design, &forces, &plan(Integrator::Nystrom6, 24), true, &pool(1));
             let gradient = run.vjp(&run.signals, Wrt::Parameters, &pool(1));
             let (slopes, at) =
                 (gradient.parameters.expect("asked for").array(), Parameters::of(scene).array());
@@ -214,7 +217,7 @@ fn parts_that_are_alike_are_the_material() {
 /// derivative in the material at constant C.
 #[test]
 fn gradients_in_parts_are_those_of_differences() {
-    let base = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
+    let base = Scene { chip: Some(AddedMass { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
     for scene in of_every_law(base) {
         let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
         let direction = |i: usize| (2.3 * i as f64 + 0.7).cos();
@@ -226,7 +229,7 @@ fn gradients_in_parts_are_those_of_differences() {
             };
             Scene { parts, ..scene.clone() }
         };
-        let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(Method::Nystrom6, 24));
+        let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(Integrator::Nystrom6, 24));
         let here = with(0.0);
         let simulation = run(&here, &design, &forces, &plan, true, &pool(1));
         let found = simulation.vjp(&simulation.signals, Wrt::Parameters, &pool(1));
@@ -277,22 +280,26 @@ fn the_highest_frequency_is_that_of_the_model() {
 #[test]
 fn a_pilot_keeps_the_accuracy_asked() {
     let base = small_scene();
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 });
     for (what, scene) in [
         ("plain", base.clone()),
-        ("stiff", Scene { stiffness: Stiffness { stretch: 300.0, ..base.stiffness }, ..base.clone() }),
+        (
+            "stiff",
+            Scene { stiffness: LigamentStiffness { stretch: 300.0, ..base.stiffness }, ..base.clone() },
+        ),
         ("damped", Scene { damping_ratio: 0.5, ..base.clone() }),
         ("contact", Scene { contact, ..base.clone() }),
-        ("body frame", Scene { frame: Frame::Body, ..base.clone() }),
+        ("body frame", Scene { frame: AccelerationFrame::Body, ..base.clone() }),
         ("linearised", Scene { linearised: true, ..base }),
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        let tight = Solver::new(Method::Nystrom6, Accuracy(1e-8));
+        let tight = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-8));
         let truth = simulate(&scene, &design, &forces, &tight, false, &pool(1));
-        let named = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6].map(|m| (m, 1e-3));
-        let auto = [3e-2, 1e-3, 1e-4].map(|asked| (Method::Auto, asked));
+        let named = [Integrator::Tsit5, Integrator::Leapfrog, Integrator::Nystrom4, Integrator::Nystrom6]
+            .map(|m| (m, 1e-3));
+        let auto = [3e-2, 1e-3, 1e-4].map(|asked| (Integrator::Auto, asked));
         for (method, asked) in auto.into_iter().chain(named) {
-            let solver = Solver::new(method, Accuracy(asked));
+            let solver = IntegratorSettings::new(method, Accuracy(asked));
             let tuned = tune(&scene, &design, &forces, &solver, &pool(1));
             assert_eq!(tuned, tune(&scene, &design, &forces, &solver, &pool(2)), "{what}: threads");
             let reason = &tuned.plan.reason;
@@ -310,10 +317,10 @@ fn a_pilot_keeps_the_accuracy_asked() {
 #[test]
 fn a_pilot_takes_single_precision_where_it_keeps_the_error() {
     let (scene, pulses) = second();
-    let stiff = Scene { stiffness: Stiffness { stretch: 300.0, ..scene.stiffness }, ..scene.clone() };
+    let stiff = Scene { stiffness: LigamentStiffness { stretch: 300.0, ..scene.stiffness }, ..scene.clone() };
     let design = shaken(&scene);
     let single = |scene: &Scene, forces: &Forces, error| {
-        let solver = Solver::new(Method::Auto, Accuracy(error));
+        let solver = IntegratorSettings::new(Integrator::Auto, Accuracy(error));
         let tuned = tune(scene, &design, forces, &solver, &pool(1));
         let plan = choose(scene, &design, &tuned.solver);
         assert_eq!(plan.precision, tuned.plan.precision, "{}", tuned.plan.reason);
@@ -349,10 +356,10 @@ fn the_error_of_signals_is_by_channel() {
 /// the error.
 #[test]
 fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
-    let contact = Some(Contact { stiffness: 0.02, min_angle: 0.3, cutoff_angle: 0.62 });
+    let contact = Some(EdgeContact { stiffness: 0.02, min_angle: 0.3, cutoff_angle: 0.62 });
     let scene = Scene { contact, ..small_scene() };
     let design = scene.layout.initial_design(25f64.to_radians());
-    let solver = Solver::new(Method::Auto, Accuracy(1e-3));
+    let solver = IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3));
     let mut halved = 0;
     for amplitude in [0.2, 0.4, 0.6, 0.8, 1.0, 1.2] {
         let forces = pushes(&scene, 2, amplitude);
@@ -361,7 +368,7 @@ fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
             continue;
         }
         halved += 1;
-        let tight = Solver::tsit5(Tolerance::both(1e-10));
+        let tight = IntegratorSettings::tsit5(Tolerance::both(1e-10));
         let truth = simulate(&scene, &design, &forces, &tight, false, &pool(1));
         let tuned = tune(&scene, &design, &forces, &solver, &pool(1));
         let run = run(&scene, &design, &forces, &tuned.plan, false, &pool(1));
@@ -382,7 +389,7 @@ fn a_pilot_says_what_it_cannot_measure() {
         ..small_scene()
     };
     let (design, mut forces) = (shaken(&scene), pushes(&scene, 1, 0.4));
-    let auto = Solver::new(Method::Auto, Accuracy(1e-3));
+    let auto = IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3));
     let law = choose(&scene, &design, &auto).steps.count();
     // forces for which errors decrease but not to 1e-3, and forces with chaotic motion
     for (factor, refined) in [(300.0, 8), (10_000.0, 1)] {
@@ -415,9 +422,12 @@ fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
     let base = small_scene();
     let scene = Scene { sensors: vec![base.sensors[0], base.clamped[0]], ..base };
     let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
-    for (method, steps) in
-        [(Method::Tsit5, 0), (Method::Leapfrog, 60), (Method::Nystrom4, 30), (Method::Nystrom6, 15)]
-    {
+    for (method, steps) in [
+        (Integrator::Tsit5, 0),
+        (Integrator::Leapfrog, 60),
+        (Integrator::Nystrom4, 30),
+        (Integrator::Nystrom6, 15),
+    ] {
         let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
         let gradient = |held: f64| {
             let of = |i: usize| if i % 6 < 3 { (0.7 * i as f64).sin() } else { held };
@@ -433,14 +443,14 @@ fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
 #[test]
 fn a_sample_that_fails_is_tried_again_with_smaller_steps() {
     let scene = Scene {
-        contact: Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 }),
+        contact: Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 }),
         ..small_scene()
     };
     let design = scene.layout.initial_design(0.4363);
     let mut forces = pushes(&scene, 2, 0.3);
     let half = forces.values.len() / 2;
     forces.values[half..].iter_mut().for_each(|f| *f *= 40.0);
-    let run = run(&scene, &design, &forces, &plan(Method::Nystrom6, 6), true, &pool(1));
+    let run = run(&scene, &design, &forces, &plan(Integrator::Nystrom6, 6), true, &pool(1));
     assert_eq!(run.outcomes[0], Outcome::Ok);
     assert!(run.counters.rejected > 0 || run.outcomes[1] == Outcome::Ok, "{:?}", run.counters);
     assert!(run.signals.iter().all(|s| s.is_finite()));
@@ -453,7 +463,7 @@ fn steps_that_make_energy_of_nothing_are_unstable() {
     let (mut named, mut refined) = (0, 0);
     for stretch in [3.0, 300.0, 3e5] {
         let base = small_scene();
-        let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base };
+        let scene = Scene { stiffness: LigamentStiffness { stretch, ..base.stiffness }, ..base };
         let found = by_too_few_steps(&scene);
         assert!(found.worst < 3.0, "{stretch}: {:.1} times the truth", found.worst);
         named += found.unstable;
@@ -461,12 +471,12 @@ fn steps_that_make_energy_of_nothing_are_unstable() {
     }
     assert!(named > 0 && refined > 0, "{named} unstable, {refined} refined");
 
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     for (scene, amplitude) in
         [(small_scene(), 400.0), (Scene { contact, ..small_scene() }, 0.4), (small_scene(), 0.0)]
     {
         let (design, forces) = (shaken(&scene), pushes(&scene, 3, amplitude));
-        let run = run(&scene, &design, &forces, &plan(Method::Nystrom4, 400), false, &pool(2));
+        let run = run(&scene, &design, &forces, &plan(Integrator::Nystrom4, 400), false, &pool(2));
         assert_eq!((&run.outcomes[..], run.counters.rejected), (&[Outcome::Ok; 3][..], 0), "{amplitude} N");
     }
 }
@@ -475,17 +485,17 @@ fn steps_that_make_energy_of_nothing_are_unstable() {
 #[test]
 fn contact_that_acts_at_rest_moves_the_body_from_the_start() {
     let scene = Scene {
-        contact: Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 }),
+        contact: Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 }),
         ..small_scene()
     };
     let design = shaken(&scene);
     let mut forces = pushes(&scene, 3, 0.3);
     let per_sample = forces.values.len() / 3;
     forces.values[2 * per_sample..].fill(0.0);
-    let tight = Solver::tsit5(Tolerance::both(1e-12));
+    let tight = IntegratorSettings::tsit5(Tolerance::both(1e-12));
     let adaptive = simulate(&scene, &design, &forces, &tight, false, &pool(1));
     assert_eq!(adaptive.outcomes, [Outcome::Ok; 3]);
-    let equal = run(&scene, &design, &forces, &plan(Method::Nystrom6, 96), false, &pool(1));
+    let equal = run(&scene, &design, &forces, &plan(Integrator::Nystrom6, 96), false, &pool(1));
     let (still, off) = (
         norm(&adaptive.signals[2 * adaptive.signals.len() / 3..]),
         relative(&adaptive.signals, &equal.signals),
@@ -531,12 +541,12 @@ fn motion_that_steps_have_made_is_found_before_it_drowns_the_signals() {
     let (mut well, mut worst) = (0, 0.0f64);
     for i in 0..40 {
         let stretch = 3.0 * (1.0 + 0.01 * f64::from(i));
-        let scene = Scene { stiffness: Stiffness { stretch, ..base.stiffness }, ..base.clone() };
+        let scene = Scene { stiffness: LigamentStiffness { stretch, ..base.stiffness }, ..base.clone() };
         let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.4));
-        let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));
+        let tight = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-4));
         let truth = norm(&simulate(&scene, &design, &forces, &tight, false, &pool(2)).signals);
         for steps in [12, 13, 14] {
-            let run = run(&scene, &design, &forces, &plan(Method::Leapfrog, steps), false, &pool(1));
+            let run = run(&scene, &design, &forces, &plan(Integrator::Leapfrog, steps), false, &pool(1));
             if run.counters.rejected == 0 {
                 well += 1;
                 worst = worst.max(norm(&run.signals) / truth);
@@ -552,10 +562,11 @@ fn chips_weigh() {
     let base = Scene { damping_ratio: 0.0, sensors: vec![3, 4, 5, 6, 7, 8], ..small_scene() };
     let design = base.layout.initial_design(0.4363);
     let geometry = Geometry::new(&base.layout, &design, base.density);
-    let chip = Some(Inertia { mass: geometry.mass[4], moment: geometry.moment[4] });
+    let chip = Some(AddedMass { mass: geometry.mass[4], moment: geometry.moment[4] });
     let forces = pushes(&base, 2, 0.2);
-    let signals =
-        |scene: &Scene| run(scene, &design, &forces, &plan(Method::Nystrom6, 24), false, &pool(1)).signals;
+    let signals = |scene: &Scene| {
+        run(scene, &design, &forces, &plan(Integrator::Nystrom6, 24), false, &pool(1)).signals
+    };
     let heavy = signals(&Scene { chip, ..base.clone() });
     let dense = signals(&Scene { density: 2.0 * base.density, ..base.clone() });
     assert!(relative(&heavy, &dense) < 1e-9, "{:e}", relative(&heavy, &dense));
@@ -565,8 +576,8 @@ fn chips_weigh() {
 /// Gradients in design and density equal differences if units carry chips, whose mass does not depend on either.
 #[test]
 fn gradients_hold_where_chips_weigh() {
-    let scene = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
-    let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(Method::Nystrom6, 24));
+    let scene = Scene { chip: Some(AddedMass { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
+    let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(Integrator::Nystrom6, 24));
     let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));
     let gradient = simulation.vjp(&simulation.signals, Wrt::Parameters, &pool(1));
     let energy = |scene: &Scene, design: &[f64]| {
@@ -589,17 +600,17 @@ fn gradients_hold_where_chips_weigh() {
 #[test]
 fn chips_off_the_centroid_read_turning() {
     let mount = Mount { offset: [1.5, -2.0], tilt: 0.4 };
-    for frame in [Frame::World, Frame::Body] {
-        let base = Scene { frame: Frame::World, ..small_scene() };
+    for frame in [AccelerationFrame::World, AccelerationFrame::Body] {
+        let base = Scene { frame: AccelerationFrame::World, ..small_scene() };
         let (design, forces) = (shaken(&base), pushes(&base, 1, 0.5));
-        let plan = plan(Method::Nystrom6, 24);
+        let plan = plan(Integrator::Nystrom6, 24);
         let plain = run(&base, &design, &forces, &plan, true, &pool(1));
         let off = |by: [f64; 2], frame| {
             let scene = Scene { mount: Some(Mount { offset: by, tilt: 0.0 }), frame, ..base.clone() };
             run(&scene, &design, &forces, &plan, false, &pool(1)).signals
         };
         // a mount with zero offset and tilt changes nothing
-        assert_eq!(off([0.0; 2], Frame::World), plain.signals);
+        assert_eq!(off([0.0; 2], AccelerationFrame::World), plain.signals);
         let read = run(
             &Scene { mount: Some(mount), frame, ..base.clone() },
             &design,
@@ -609,7 +620,7 @@ fn chips_off_the_centroid_read_turning() {
             &pool(1),
         );
         // α from a chip at (1, 0): a_y + α cos θ − ω² sin θ
-        let east = off([1.0, 0.0], Frame::World);
+        let east = off([1.0, 0.0], AccelerationFrame::World);
         let tape = plain.tape.as_ref().unwrap();
         let width = 3 * base.sensors.len();
         let mut turned: f64 = 0.0;
@@ -623,7 +634,8 @@ fn chips_off_the_centroid_read_turning() {
                 let r =
                     [c * mount.offset[0] - s * mount.offset[1], s * mount.offset[0] + c * mount.offset[1]];
                 let at = [ax - alpha * r[1] - omega * omega * r[0], ay + alpha * r[0] - omega * omega * r[1]];
-                let (s, c) = (mount.tilt + if frame == Frame::Body { theta } else { 0.0 }).sin_cos();
+                let (s, c) =
+                    (mount.tilt + if frame == AccelerationFrame::Body { theta } else { 0.0 }).sin_cos();
                 let expected = [c * at[0] + s * at[1], c * at[1] - s * at[0], omega];
                 for (k, expected) in expected.into_iter().enumerate() {
                     let got = read.signals[n * width + 3 * m + k];
@@ -640,8 +652,8 @@ fn chips_off_the_centroid_read_turning() {
 #[test]
 fn gradients_hold_where_chips_are_mounted() {
     let mount = Some(Mount { offset: [1.5, -2.0], tilt: 0.4 });
-    for frame in [Frame::World, Frame::Body] {
-        for method in [Method::Nystrom6, Method::Leapfrog] {
+    for frame in [AccelerationFrame::World, AccelerationFrame::Body] {
+        for method in [Integrator::Nystrom6, Integrator::Leapfrog] {
             let scene = Scene { mount, frame, ..small_scene() };
             let (design, forces, plan) = (shaken(&scene), pushes(&scene, 2, 0.3), plan(method, 24));
             let simulation = run(&scene, &design, &forces, &plan, true, &pool(1));

@@ -4,8 +4,8 @@ use crate::common::{pool, relative};
 use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Mount, Outcome, Panel, Parameters, Plan, Precision, PrescribedMotion,
-    Relaxation, Rest, Scene, Tangent, Wrt, energy_gradient, run, start,
+    AccelerationFrame, EdgeContact, Forces, IntegrationPlan, Integrator, MaxwellBranch, Mount, Outcome,
+    Panel, Parameters, Precision, PrescribedMotion, Rest, Scene, Tangent, Wrt, energy_gradient, run, start,
 };
 
 /// Clamped below and at one unit of the top row, which moves down by the fraction `strain` of the distance.
@@ -54,7 +54,9 @@ fn a_sample_begins_at_rest() {
         }
         let mut forces = pushes(&scene, 1, 0.3);
         forces.values.chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
-        for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom6, 24), (Method::Leapfrog, 60)] {
+        for (method, steps) in
+            [(Integrator::Tsit5, 0), (Integrator::Nystrom6, 24), (Integrator::Leapfrog, 60)]
+        {
             let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
             assert_eq!(run.outcomes, [Outcome::Ok]);
             let (before, after) = run.signals.split_at(8 * 6);
@@ -72,7 +74,7 @@ fn a_sample_begins_at_rest() {
 /// driven unit.
 #[test]
 fn gradients_follow_the_start() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = pressed(0.08);
     let moving = |moves, unit, way| Panel { moves: Some(moves), ..Panel::central(unit, way) };
     let (shaken_base, driven) = (
@@ -80,7 +82,11 @@ fn gradients_follow_the_start() {
         moving(PrescribedMotion::Unit(1e-4), 6, [1.0, 0.0]),
     );
     let scenes = [
-        Scene { frame: Frame::Body, mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }), ..base.clone() },
+        Scene {
+            frame: AccelerationFrame::Body,
+            mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }),
+            ..base.clone()
+        },
         Scene { contact, ..base.clone() },
         Scene { linearised: true, ..base.clone() },
         Scene { panels: vec![driven, base.panels[1]], ..base.clone() },
@@ -92,8 +98,8 @@ fn gradients_follow_the_start() {
         // the second sample's forces start later
         forces.values[42..84].chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
         let methods =
-            EQUAL_STEPS.map(|(method, ..)| (method, if method == Method::Nystrom6 { 12 } else { 24 }));
-        for (method, steps) in methods.into_iter().chain([(Method::Tsit5, 0)]) {
+            EQUAL_STEPS.map(|(method, ..)| (method, if method == Integrator::Nystrom6 { 12 } else { 24 }));
+        for (method, steps) in methods.into_iter().chain([(Integrator::Tsit5, 0)]) {
             let plan = plan(method, steps);
             let simulation = run(scene, &design, &forces, &plan, true, &pool(2));
             assert!(simulation.outcomes.iter().all(|o| *o == Outcome::Ok), "{i} {:?}", simulation.outcomes);
@@ -106,7 +112,7 @@ fn gradients_follow_the_start() {
             let difference = slope_at_zero(energy);
             let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
             // differences of Tsit5 have different steps
-            let near = if method == Method::Tsit5 { 1e-4 } else { 1e-5 };
+            let near = if method == Integrator::Tsit5 { 1e-4 } else { 1e-5 };
             assert!((difference / slope - 1.0).abs() < near, "{i} {method:?}: {difference} {slope}");
 
             let at = Parameters::of(scene).array();
@@ -124,7 +130,8 @@ fn gradients_follow_the_start() {
                 let slope = own * at[k];
                 let scale = slope.abs().max(1e-3 * half_sum_of_squares(&simulation.signals));
                 assert!(
-                    (difference - slope).abs() < if method == Method::Tsit5 { 3e-4 } else { 1e-4 } * scale,
+                    (difference - slope).abs()
+                        < if method == Integrator::Tsit5 { 3e-4 } else { 1e-4 } * scale,
                     "{i} {method:?} {k}: {difference} {slope}"
                 );
             }
@@ -139,7 +146,7 @@ fn the_two_derivatives_are_transposes() {
     let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.3));
     let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
     let parameters = Parameters { stretch: 0.7, shear: -0.1, bend: 0.4, ..Parameters::default() };
-    for (method, steps) in [(Method::Tsit5, 0), (Method::Nystrom6, 24)] {
+    for (method, steps) in [(Integrator::Tsit5, 0), (Integrator::Nystrom6, 24)] {
         let run = run(&scene, &design, &forces, &plan(method, steps), true, &pool(1));
         let cotangent: Vec<f64> = (0..run.signals.len()).map(|i| (0.7 * i as f64).sin()).collect();
         let gradient = run.vjp(&cotangent, Wrt::Parameters, &pool(1));
@@ -211,7 +218,7 @@ fn a_straight_body_buckles() {
     assert!(start(&with(0.1), &layout.initial_design(0.4363)).is_ok());
     let scene = with(0.1);
     let forces: Forces = pushes(&scene, 3, 0.3);
-    let run = run(&scene, &straight, &forces, &plan(Method::Nystrom6, 24), true, &pool(1));
+    let run = run(&scene, &straight, &forces, &plan(Integrator::Nystrom6, 24), true, &pool(1));
     assert_eq!(run.outcomes, [Outcome::Buckled; 3]);
     assert!(run.signals.iter().all(|s| *s == 0.0));
     let gradient = run.vjp(&vec![1.0; run.signals.len()], Wrt::Design, &pool(1));
@@ -221,7 +228,7 @@ fn a_straight_body_buckles() {
 /// A body whose voids are narrower than contact permits has no equilibrium.
 #[test]
 fn a_body_that_may_be_nowhere_comes_to_no_rest() {
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 1.4, cutoff_angle: 1.5 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 1.4, cutoff_angle: 1.5 });
     let scene = Scene { contact, ..pressed(0.08) };
     assert_eq!(start(&scene, &scene.layout.initial_design(0.4363)), Err(Outcome::NoEquilibrium));
 }
@@ -233,8 +240,14 @@ fn weak_blows_on_a_pressed_body_are_heard() {
     let scene = pressed(0.08);
     let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.003));
     let [single, double] = [Precision::Single, Precision::Double].map(|precision| {
-        let run =
-            run(&scene, &design, &forces, &Plan { precision, ..plan(Method::Nystrom6, 24) }, true, &pool(1));
+        let run = run(
+            &scene,
+            &design,
+            &forces,
+            &IntegrationPlan { precision, ..plan(Integrator::Nystrom6, 24) },
+            true,
+            &pool(1),
+        );
         assert_eq!((&run.outcomes[..], run.counters.rejected), (&[Outcome::Ok; 3][..], 0), "{precision:?}");
         let gradient = run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
         (run.signals, gradient)
@@ -246,10 +259,10 @@ fn weak_blows_on_a_pressed_body_are_heard() {
 /// Relaxing ligaments are relaxed at the start of a sample.
 #[test]
 fn a_press_is_relaxed_when_a_sample_begins() {
-    let scene = Scene { relaxation: Some(Relaxation { share: 0.3, time: 0.01 }), ..pressed(0.08) };
+    let scene = Scene { relaxation: Some(MaxwellBranch { share: 0.3, time: 0.01 }), ..pressed(0.08) };
     let (design, mut forces) = (shaken(&scene), pushes(&scene, 1, 0.3));
     forces.values.chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
-    let run = run(&scene, &design, &forces, &plan(Method::Nystrom4, 36), false, &pool(1));
+    let run = run(&scene, &design, &forces, &plan(Integrator::Nystrom4, 36), false, &pool(1));
     let (before, after) = run.signals.split_at(8 * 6);
     let most = |signals: &[f64]| signals.iter().fold(0.0, |most: f64, s| most.max(s.abs()));
     assert!(most(before) < 1e-6 * most(after), "{:e} {:e}", most(before), most(after));

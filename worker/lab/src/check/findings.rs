@@ -6,12 +6,12 @@ use metasense_worker::invalid::as_written;
 use metasense_worker::records::newtons;
 
 use super::{Described, Looked};
-use crate::measured::{AccelerationUnit, AngularVelocityUnit, Start};
+use crate::measured::{AccelerationUnit, AngularVelocityUnit, SignalStart};
 use crate::questions::check::{Explanation, RecordFinding};
 
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Level {
+pub enum Severity {
     /// Checked without a finding.
     Ok,
     /// Not checked: the records do not permit it.
@@ -22,7 +22,7 @@ pub enum Level {
     Fault,
 }
 
-impl Level {
+impl Severity {
     /// Name of the level.
     pub fn name(self) -> &'static str {
         ["ok", "not checked", "warning", "fault"][self as usize]
@@ -35,7 +35,7 @@ pub struct Finding {
     /// Name of the check.
     pub check: &'static str,
     /// Severity.
-    pub level: Level,
+    pub level: Severity,
     /// Record and file, or channel and column; empty: all.
     pub place: String,
     /// The fault, with values.
@@ -114,9 +114,9 @@ pub(super) fn findings(
             continue;
         }
         let unchecked = |place: &str, what: &str, remedy: &str| {
-            (Level::NotChecked, [place, what, remedy].map(str::to_owned))
+            (Severity::NotChecked, [place, what, remedy].map(str::to_owned))
         };
-        let ok = |what: String| (Level::Ok, [String::new(), what, String::new()]);
+        let ok = |what: String| (Severity::Ok, [String::new(), what, String::new()]);
         let (level, texts) = match (check, found) {
             ("file", _) => ok(String::new()),
             _ if looked.is_empty() => unchecked("", "no record is readable", "correct the files"),
@@ -149,14 +149,14 @@ pub(super) fn findings(
 }
 
 impl Findings<'_> {
-    fn add(&mut self, check: &'static str, level: Level, texts: [&str; 3]) {
+    fn add(&mut self, check: &'static str, level: Severity, texts: [&str; 3]) {
         let [place, found, remedy] = texts.map(str::to_owned);
         self.all.push(Finding { check, level, place, found, remedy });
     }
 
     /// Adds a fault: its place, its values, and the remedy.
     fn fault(&mut self, check: &'static str, texts: [&str; 3]) {
-        self.add(check, Level::Fault, texts);
+        self.add(check, Severity::Fault, texts);
     }
 
     fn place(&self, i: usize) -> String {
@@ -187,7 +187,7 @@ impl Findings<'_> {
                 "steps of the clock differ from their mean by up to {most:.0} %; the record is interpolated"
             );
             let remedy = "if the instrument's steps are even, set signals.rate in place of signals.time";
-            self.add("file", Level::Warning, [&place, &found, remedy]);
+            self.add("file", Severity::Warning, [&place, &found, remedy]);
         }
     }
 
@@ -207,7 +207,7 @@ impl Findings<'_> {
                 let found = format!("{blows} blows");
                 let remedy =
                     "leave the record out, or cut it before the second blow (metasense.records: length)";
-                self.add("blow", Level::Warning, [&self.place(i), &found, remedy]);
+                self.add("blow", Severity::Warning, [&self.place(i), &found, remedy]);
             }
         }
     }
@@ -422,7 +422,7 @@ impl Findings<'_> {
                  {least:.2}; not compared with the model"
             );
             let remedy = "to compare these signals, raise the rate of the chip; a fit needs no higher rate";
-            self.add("channel", Level::Warning, [&place.join(", "), &text, remedy]);
+            self.add("channel", Severity::Warning, [&place.join(", "), &text, remedy]);
         }
         if aliased.len() == self.channels.len() {
             return;
@@ -508,7 +508,7 @@ impl Findings<'_> {
             let text = format!("signals seem to be {} s {}{change}", significant(middle.abs()), late(middle));
             let starts: Vec<f64> = (0..found.records.len()).map(|i| self.start(i) + middle).collect();
             let value = match &self.described.spec.signals.start {
-                Some(Start::Each(_)) => format!("{starts:.4?}"),
+                Some(SignalStart::Each(_)) => format!("{starts:.4?}"),
                 _ => format!("{:.4}", starts[0]),
             };
             self.fault("clock", ["", &text, &format!("set signals.start = {value}")]);

@@ -13,7 +13,7 @@ fn find(force: Vec<f64>, correlation: f64, gain: f64, aliased: Option<f64>) -> V
     let described = Described { spec, records: Vec::new() };
     let signal: Vec<f64> = (0..force.len()).map(|n| if n < 20 { 0.0 } else { (n as f64).sin() }).collect();
     let signals = history(0.005, vec![signal; 3]);
-    let record = Record { force: history(0.005, vec![force]), panel: Some(0), signals };
+    let record = CheckedRecord { force: history(0.005, vec![force]), panel: Some(0), signals };
     let looked = Looked {
         number: 0,
         place: "a.csv".into(),
@@ -51,14 +51,14 @@ fn of<'a>(found: &'a [Finding], check: &str) -> Vec<&'a Finding> {
 
 #[test]
 fn an_offset_of_the_force_and_a_record_without_force_are_faults() {
-    assert_eq!(of(&find(blow(0.0), 0.9, 1.0, None), "offset")[0].level, Level::Ok);
+    assert_eq!(of(&find(blow(0.0), 0.9, 1.0, None), "offset")[0].level, Severity::Ok);
     let found = find(blow(0.125), 0.9, 1.0, None);
     let [offset] = of(&found, "offset")[..] else { panic!("{found:?}") };
-    assert!(offset.level == Level::Fault && offset.place == "force 0", "{offset:?}");
+    assert!(offset.level == Severity::Fault && offset.place == "force 0", "{offset:?}");
     assert!(offset.found.contains("0.125 N") && offset.remedy.contains("remove_offset = true"), "{offset:?}");
     let found = find(vec![0.0; 200], 0.9, 1.0, None);
     let [none] = of(&found, "blow")[..] else { panic!("{found:?}") };
-    assert!(none.level == Level::Fault && none.found == "the force is 0 throughout", "{none:?}");
+    assert!(none.level == Severity::Fault && none.found == "the force is 0 throughout", "{none:?}");
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn units_are_proposed_only_if_they_explain_the_signals() {
     let found = find(blow(0.0), 0.9, 1e-3, None);
     assert_eq!(of(&found, "unit")[0].remedy, "set recorded.force_unit = \"mN\"");
     let found = find(blow(0.0), 0.05, 1e-3, None);
-    assert!(of(&found, "unit").iter().all(|unit| unit.level == Level::NotChecked), "{found:?}");
+    assert!(of(&found, "unit").iter().all(|unit| unit.level == Severity::NotChecked), "{found:?}");
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn a_check_that_is_not_made_is_not_ok() {
         assert!(finding.level.name() == "not checked" && finding.place == "a_x, a_y, ω", "{finding:?}");
     }
     for check in ["file", "blow", "range", "offset"] {
-        assert_eq!(of(&found, check)[0].level, Level::Ok, "{check}");
+        assert_eq!(of(&found, check)[0].level, Severity::Ok, "{check}");
     }
 }
 

@@ -44,7 +44,7 @@ pub struct MeasuredSignals {
     /// Unit of `time`. Default: `recorded.time_unit`.
     pub time_unit: Option<TimeUnit>,
     /// Time on the forces' clock at which the signals' clock is 0. Unit: s. Default: 0.
-    pub start: Option<Start>,
+    pub start: Option<SignalStart>,
     /// Standard deviation of the unknown error of each record's `start`. `lab identify` fits these errors, up to three
     /// deviations. Unit: s. Default: 0.
     pub start_deviation: Option<f64>,
@@ -59,14 +59,14 @@ pub struct MeasuredSignals {
 /// Time on the forces' clock at which the signals' clock is 0 (s).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
-pub enum Start {
+pub enum SignalStart {
     /// a number, for all records.
     All(f64),
     /// a list, one per record in the order of the files.
     Each(Vec<f64>),
 }
 
-impl Start {
+impl SignalStart {
     /// Returns the time of one record.
     pub fn time_of(&self, record: usize) -> f64 {
         match self {

@@ -16,6 +16,6 @@ fn a_unit_that_is_turned_over_needs_a_given_mass() {
     }
     assert!(problem.scene.geometry(&design).area[unit] < 0.0);
     assert!(with_design(&given, &design).is_ok());
-    let Err(Failure::Rejected(why)) = with_design(&own, &design) else { panic!("it was taken") };
+    let Err(NoResult::Rejected(why)) = with_design(&own, &design) else { panic!("it was taken") };
     assert!(why.contains("unit 4 "), "{why}");
 }

@@ -9,11 +9,11 @@
 
 use super::chain::{ModelOutput, walks};
 use super::modes::bound::{ForcePrior, Noise, information, jacobian_times, posterior_variance};
-use metasense_numerics::dynamics::{Forces, Outcome, Plan, Scene, choose, run};
+use metasense_numerics::dynamics::{Forces, IntegrationPlan, Outcome, Scene, choose, run};
 use metasense_numerics::nested::EXACT;
 use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::stimuli::{Bell, Source};
-use metasense_numerics::trial::{Failure, Problem, Trial, Trouble};
+use metasense_numerics::stimuli::{Bell, HistorySource};
+use metasense_numerics::trial::{Failure, PreparedTrial, Problem, Trouble};
 use nalgebra::DMatrix;
 
 /// Bounds of a body.
@@ -47,7 +47,8 @@ pub fn bound(
     samples: usize,
     pool: &metasense_numerics::Pool,
 ) -> Result<Option<Bound>, Failure> {
-    let trial = Trial::new(&Problem { solver: problem.solver.in_equal_steps(), ..problem.clone() }, pool)?;
+    let trial =
+        PreparedTrial::new(&Problem { solver: problem.solver.in_equal_steps(), ..problem.clone() }, pool)?;
     let problem = &trial.problem;
     let Some(chip) = trial.chip.as_ref().filter(|chip| chip.noise.iter().all(|white| *white > 0.0)) else {
         return Ok(None);
@@ -81,7 +82,7 @@ pub fn bound(
     }
     let Some(informed) = posterior_variance(&prior, total / left.len() as f64) else { return Ok(None) };
     let any_decoder = match &problem.stimuli.source {
-        Source::Bell(bell) => Some(decoder_error_bound(
+        HistorySource::Bell(bell) => Some(decoder_error_bound(
             problem,
             (&scene, design, &plan),
             bell,
@@ -106,7 +107,7 @@ pub fn bound(
 /// `count` walks.
 fn decoder_error_bound(
     problem: &Problem,
-    (scene, design, plan): (&Scene, &[f64], &Plan),
+    (scene, design, plan): (&Scene, &[f64], &IntegrationPlan),
     bell: &Bell,
     noise: &Noise,
     count: usize,

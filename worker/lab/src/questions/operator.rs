@@ -7,9 +7,9 @@
 //! forces, Wiener's filter leaves S Σ 1/(1 + s²), the least of all linear decoders (Kay, Fundamentals of Statistical Signal
 //! Processing I, 1993, ch. 12). The information is log₂ Π(1 + s²) bits per frequency (Shannon 1949).
 
-use super::modes::{Response, c64, modes_to, part_of, responses};
+use super::modes::{FrequencyResponse, c64, modes_to, part_of, responses};
 use faer::Mat;
-use metasense_numerics::dynamics::{Frame, Mount, Rest};
+use metasense_numerics::dynamics::{AccelerationFrame, Mount, Rest};
 use metasense_numerics::trial::{Problem, Size};
 use std::f64::consts::TAU;
 
@@ -46,9 +46,9 @@ pub fn compute_figures(problem: &Problem, design: &[f64]) -> OperatorFigures {
     let frequencies: Vec<f64> = (1..=bins).map(|b| b as f64 / scene.duration).collect();
     let power = power(&problem.targets(&problem.training_and_test()[0]), scene.instants, panels, bins);
     // G per frequency: channels of each sensor in turn, by panels.
-    let operators = |rest: &Rest, found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
+    let operators = |rest: &Rest, found: Vec<Vec<Vec<FrequencyResponse>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
-        let figures_at = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
+        let figures_at = |(of, &hertz): (&Vec<Vec<FrequencyResponse>>, &f64)| {
             let read = |i: usize, k: usize| {
                 let unit = scene.sensors[i / each];
                 mounted_response(problem, rest, unit, of[k][i / each], hertz)[problem.channels[i % each]]
@@ -93,14 +93,14 @@ fn mounted_response(
     problem: &Problem,
     rest: &Rest,
     unit: usize,
-    [x, y, turn]: Response,
+    [x, y, turn]: FrequencyResponse,
     hertz: f64,
-) -> Response {
+) -> FrequencyResponse {
     let Mount { offset, tilt } = problem.scene.mount.unwrap_or_default();
     // Along the axes of the plain chip.
     let turned = match problem.scene.frame {
-        Frame::World => rest.turned.get(unit).copied().unwrap_or(0.0),
-        Frame::Body => 0.0,
+        AccelerationFrame::World => rest.turned.get(unit).copied().unwrap_or(0.0),
+        AccelerationFrame::Body => 0.0,
     };
     let along = |[x, y]: [c64; 2], angle: f64| {
         let (s, c) = angle.sin_cos();
@@ -205,7 +205,7 @@ mod tests {
     use crate::small::{GOING, on_lattices, small};
     use metasense_numerics::dynamics::{Accuracy, Scene, simulate};
     use metasense_numerics::random::Purpose;
-    use metasense_numerics::trial::{Disturbance, Protocol};
+    use metasense_numerics::trial::{ChipErrors, TrainingProtocol};
 
     /// The forces' power is their mean square about the mean. K panels in K independent channels of equal power have rank K and
     /// condition 1, one copied channel has rank 1. Wiener's error decreases with the noise and is 100 % without signals.
@@ -238,13 +238,13 @@ mod tests {
     /// follow from those of plain chips by `mounted_response`.
     #[test]
     fn a_chip_off_its_centroid_hears_what_a_simulation_says() {
-        let mut problem = small(Protocol::Joint(GOING));
+        let mut problem = small(TrainingProtocol::Joint(GOING));
         (problem.scene.damping_ratio, problem.scene.duration, problem.scene.instants) = (0.5, 1.5, 6000);
         problem.stimuli.instants = 6000;
         let mut forces = problem.forces(Purpose::Holdout, 0, 1);
         forces.values.iter_mut().for_each(|f| *f *= 1e-5);
         let pool = metasense_numerics::Pool::new(1).expect("a thread");
-        let spectrum = |problem: &Problem, hertz: f64| -> Response {
+        let spectrum = |problem: &Problem, hertz: f64| -> FrequencyResponse {
             let solver = problem.solver.at_most(Accuracy(1e-6));
             let found = simulate(&problem.scene, &problem.initial, &forces, &solver, false, &pool);
             let turn = |n: usize| c64::cis(-TAU * hertz * (n + 1) as f64 / 4000.0);
@@ -253,7 +253,7 @@ mod tests {
             };
             [0, 1, 2].map(of)
         };
-        for frame in [Frame::World, Frame::Body] {
+        for frame in [AccelerationFrame::World, AccelerationFrame::Body] {
             let plain = Problem { scene: Scene { frame, ..problem.scene.clone() }, ..problem.clone() };
             let mount = Some(Mount { offset: [6.0, -3.0], tilt: 0.7 });
             let mounted = Problem { scene: Scene { mount, ..plain.scene.clone() }, ..problem.clone() };
@@ -273,7 +273,7 @@ mod tests {
     /// More sensors and less noise give more information; repeated calls give equal results.
     #[test]
     fn more_sensors_tell_more() {
-        let small = small(Protocol::Joint(GOING));
+        let small = small(TrainingProtocol::Joint(GOING));
         for (what, problem) in on_lattices(&small).into_iter().chain([("squares".into(), small.clone())]) {
             check_sensors(&what, problem);
         }
@@ -287,7 +287,7 @@ mod tests {
         problem.scene.sensors = units;
         let two = of(&problem);
         let noise = Size::Relative(1e-3);
-        problem.disturbance = Some(Disturbance { noise, ..Disturbance::NONE });
+        problem.disturbance = Some(ChipErrors { noise, ..ChipErrors::NONE });
         let quiet = of(&problem);
         assert_eq!(one, again);
         assert!(one.modes >= 1.0, "{what}: {one:?}");

@@ -8,7 +8,7 @@ use metasense_numerics::brains::{Fitted, Inverse, Z_95, predict_on, predict_with
 use metasense_numerics::dynamics::{Forces, simulate};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{
-    BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, check_failures, check_outcomes,
+    Decoder, DecoderKind, Failure, PreparedTrial, Problem, Samples, Scales, check_failures, check_outcomes,
     clear_failed_forces, pilot, simulated, tuned,
 };
 
@@ -52,7 +52,7 @@ pub fn replay(
     weights: &[f32],
     pool: &metasense_numerics::Pool,
 ) -> Result<Replay, Failure> {
-    let trial = Trial::new(problem, pool)?;
+    let trial = PreparedTrial::new(problem, pool)?;
     let (problem, solver) = (&trial.problem, trial.tuned(design).solver);
     let mut forces = all_forces(problem);
     let (_, test) = problem.stimuli.split(problem.seed);
@@ -87,7 +87,7 @@ pub fn replay(
         force_mean: mean,
         force_deviation: deviation,
     };
-    if problem.decoder_kind == BrainKind::Linear {
+    if problem.decoder_kind == DecoderKind::Linear {
         let brain = replay.linear(problem, &problem.decoder, pool)?;
         (replay.predictions, replay.errors) = (brain.predictions, brain.errors);
     }
@@ -135,7 +135,7 @@ impl Replay {
         count: usize,
         pool: &metasense_numerics::Pool,
     ) -> Result<(), Failure> {
-        let (trial, all) = (Trial::new(problem, pool)?, self.samples(problem));
+        let (trial, all) = (PreparedTrial::new(problem, pool)?, self.samples(problem));
         let split = &self.split;
         let of = |set: u8| (0..split.len()).filter(move |&i| split[i] == set);
         let read: Vec<usize> = of(1).take(count).chain(of(2).take(count)).collect();
@@ -247,7 +247,7 @@ pub fn sense(
     let simulation = simulated(problem, &problem.scene, design, forces, &solver, false, pool);
     check_outcomes(&simulation.outcomes).map_err(Failure::Initial)?;
     match problem.disturbance {
-        Some(_) => Ok(Trial::new(problem, pool)?.disturbed_signals(simulation.signals, forces)),
+        Some(_) => Ok(PreparedTrial::new(problem, pool)?.disturbed_signals(simulation.signals, forces)),
         None => Ok(problem.read(simulation.signals, forces.samples)),
     }
 }

@@ -3,11 +3,13 @@
 use super::*;
 use crate::small::{GOING, on_lattices, small, with_failing_samples};
 use metasense_numerics::Pool;
-use metasense_numerics::dynamics::{Accuracy, Forces, Method, Scene, Solver, simulate};
+use metasense_numerics::dynamics::{Accuracy, Forces, Integrator, IntegratorSettings, Scene, simulate};
 use metasense_numerics::nested::{self, BodyEvaluation, NoObserver};
 use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::stimuli::{Source, split, targets};
-use metasense_numerics::trial::{BrainKind, Disturbance, Failure, Problem, Protocol, Scaling, Size, Trial};
+use metasense_numerics::stimuli::{HistorySource, split, targets};
+use metasense_numerics::trial::{
+    ChipErrors, DecoderKind, Failure, Normalisation, PreparedTrial, Problem, Size, TrainingProtocol,
+};
 use nalgebra::{DMatrix, DVector};
 
 fn pool(threads: usize) -> Pool {
@@ -40,19 +42,19 @@ fn check_replay(problem: &Problem, body: &BodyEvaluation, tolerance: f64) -> Rep
 /// On the initial body and on others, with both scalings, and with estimates of a stacked network that are out-of-fold.
 #[test]
 fn a_replay_has_the_errors_of_the_evaluation() {
-    let begun_with = small(Protocol::Joint(GOING));
+    let begun_with = small(TrainingProtocol::Joint(GOING));
     let other = moved(&begun_with);
     for (reader, scaling) in [
-        (BrainKind::Network, Scaling::Rms),
-        (BrainKind::Network, Scaling::Extremes),
-        (BrainKind::Stacked, Scaling::Rms),
+        (DecoderKind::Network, Normalisation::Rms),
+        (DecoderKind::Network, Normalisation::Extremes),
+        (DecoderKind::Stacked, Normalisation::Rms),
     ] {
         let mut mine = Problem { decoder_kind: reader, ..begun_with.clone() };
         mine.brain.scaling = scaling;
         let its_own = Problem { initial: other.clone(), ..mine.clone() };
         for problem in [&mine, &its_own] {
             let pool = pool(1);
-            let trial = Trial::new(problem, &pool).unwrap();
+            let trial = PreparedTrial::new(problem, &pool).unwrap();
             let body =
                 nested::evaluate_designs(&trial, std::slice::from_ref(&other), &mut NoObserver).remove(0);
             check_replay(problem, &body, 1e-5);
@@ -69,9 +71,9 @@ fn a_replay_counts_samples_that_fail() {
     let spoilt = [(Purpose::Stimulus, late(&train)), (Purpose::Stimulus, late(&test)), (Purpose::Holdout, 2)];
     let mut wanted = vec![late(&train), late(&test), 32 + 2];
     wanted.sort_unstable();
-    for brain in [BrainKind::Linear, BrainKind::Network, BrainKind::Stacked] {
+    for brain in [DecoderKind::Linear, DecoderKind::Network, DecoderKind::Stacked] {
         let (problem, pool) = (with_failing_samples(brain, &spoilt, 1e200), pool(2));
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let initial = std::slice::from_ref(&problem.initial);
         let body = nested::evaluate_designs(&trial, initial, &mut NoObserver).remove(0);
         let again = check_replay(&problem, &body, 1e-3);
@@ -85,13 +87,9 @@ fn a_replay_counts_samples_that_fail() {
 #[test]
 fn chips_are_as_noisy_on_every_body() {
     let pool = pool(1);
-    let disturbance = Disturbance {
-        noise: Size::Relative(0.2),
-        bias: Size::Relative(0.1),
-        delay: 0.0,
-        ..Disturbance::NONE
-    };
-    let quiet = small(Protocol::Joint(GOING));
+    let disturbance =
+        ChipErrors { noise: Size::Relative(0.2), bias: Size::Relative(0.1), delay: 0.0, ..ChipErrors::NONE };
+    let quiet = small(TrainingProtocol::Joint(GOING));
     let noisy = Problem { disturbance: Some(disturbance), ..quiet.clone() };
     let forces = quiet.forces(Purpose::Holdout, 0, 3);
     let other = moved(&quiet);
@@ -119,10 +117,10 @@ fn chips_are_as_noisy_on_every_body() {
 
 /// A problem with forces of `times` the usual amplitude.
 fn of_amplitude(mut problem: Problem, times: f64) -> Problem {
-    if let Source::Bell(bell) = &mut problem.stimuli.source {
+    if let HistorySource::Bell(bell) = &mut problem.stimuli.source {
         bell.amplitude = bell.amplitude.map(|a| times * a);
     }
-    problem.solver = Solver::new(Method::Nystrom6, Accuracy(1e-6));
+    problem.solver = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-6));
     problem
 }
 
@@ -130,7 +128,7 @@ fn of_amplitude(mut problem: Problem, times: f64) -> Problem {
 /// normal equations of simulated signals and from random noise.
 #[test]
 fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
-    let problem = small(Protocol::Random(GOING));
+    let problem = small(TrainingProtocol::Random(GOING));
     check_the_bound(problem.clone(), 400);
     // a disc of triangles and a sheet of hexagons
     on_lattices(&problem).into_iter().skip(1).take(2).for_each(|(_, problem)| check_the_bound(problem, 0));
@@ -138,11 +136,11 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
 
 /// `draws`: number of noise draws, possibly 0.
 fn check_the_bound(problem: Problem, draws: usize) {
-    let disturbance = Disturbance {
+    let disturbance = ChipErrors {
         noise: Size::Relative(0.2),
         bias: Size::Relative(0.3),
         delay: 0.0075,
-        ..Disturbance::NONE
+        ..ChipErrors::NONE
     };
     let problem = Problem { disturbance: Some(disturbance), ..of_amplitude(problem, 1e-5) };
     let samples = if draws > 0 { 4 } else { 1 };

@@ -14,7 +14,7 @@ use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::Samples;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::invalid::invalid;
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 
 use super::{LinearReplay, Replay, ReplayDecoder};
 use crate::prepare::prepared;
@@ -147,13 +147,13 @@ impl Convolution {
 ///
 /// # Panics
 /// If the weights do not match the trial's network.
-pub fn layers(trial: &TrialSpec, own: &ReplayDecoder, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+pub fn layers(trial: &TrialSpec, own: &ReplayDecoder, replay: &Replay) -> Result<Vec<Convolution>, NoResult> {
     if let ReplayDecoder::Network(_) = own
         && replay.has_offset()
     {
         let remedy =
             "has no layers to export, because signals are padded with the middle of their range: export npz";
-        return Err(Failure::Rejected(invalid("brain.scaling", "\"minmax\"", remedy).to_string()));
+        return Err(NoResult::Rejected(invalid("brain.scaling", "\"minmax\"", remedy).to_string()));
     }
     let mut layers = match own {
         ReplayDecoder::Linear(linear) => vec![of_linear(linear, replay)],
@@ -194,7 +194,7 @@ fn of_linear(LinearReplay { lags, w, b, .. }: &LinearReplay, replay: &Replay) ->
 }
 
 /// Layers from normalised inputs to forces (N).
-fn of_network(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+fn of_network(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, NoResult> {
     let (shape, panels) = (prepared(trial)?.reader_shape(), replay.force_mean.len());
     let mut layers = Convolution::network(&shape.architecture, shape.inputs, panels);
     let count = layers.len();

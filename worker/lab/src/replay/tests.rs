@@ -1,17 +1,17 @@
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord};
-use metasense_worker::run::{Control, Observe, run_trial};
+use metasense_schemas::record::{BodyRecord, Checkpoint, StepRecord};
+use metasense_worker::run::{LoopControl, ObserveTrial, run_trial};
 
 use super::*;
 
 pub(crate) struct Blind;
 
-impl Observe for Blind {
-    fn progress(&mut self) -> Control {
-        Control::Continue
+impl ObserveTrial for Blind {
+    fn progress(&mut self) -> LoopControl {
+        LoopControl::Continue
     }
     fn save(&mut self, _: Checkpoint) {}
-    fn step(&mut self, _: StepRecord, _: Checkpoint) -> Control {
-        Control::Continue
+    fn step(&mut self, _: StepRecord, _: Checkpoint) -> LoopControl {
+        LoopControl::Continue
     }
 }
 
@@ -37,7 +37,7 @@ pub(crate) fn small_trial_with(table: &str, key: &str, value: serde_json::Value)
 fn a_replay_has_the_errors_that_the_trial_recorded() {
     let trial = small_trial();
     let result = run_trial(&trial, None, &pool(1).unwrap(), &mut Blind).unwrap();
-    for BodyEvaluation { design, networks, .. } in [&result.initial, &result.optimised] {
+    for BodyRecord { design, networks, .. } in [&result.initial, &result.optimised] {
         let found = replay(&trial, design, &networks[0].weights, 0, 1).unwrap();
         let recorded = [networks[0].error_train, networks[0].error_test, networks[0].error_holdout];
         for (set, recorded) in recorded.into_iter().enumerate() {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// varied are empty.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Twin {
+pub struct TwinFile {
     /// Hash of the body: [`metasense_schemas::spec::TrialSpec::body_digest`].
     pub body: String,
     /// RMS residual of the records' signals relative to the noise of the chips.

@@ -5,13 +5,13 @@
 //! one clamped plate. The disc, cut out of a square lattice, lies in eight rigid shells of twice its density; nothing is clamped.
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Forces, Inertia, Panel, Scene, Stiffness, damping, simulate};
+use metasense_numerics::dynamics::{AddedMass, Forces, LigamentStiffness, Panel, Scene, damping, simulate};
 use metasense_schemas::spec::{Denser, Follow, FollowBy, Polygons, Struck};
 use metasense_worker::polygons;
 
 use super::body::{States, TIGHT, outcomes, states};
 use super::case::{Case, CaseError};
-use super::{Row, relative};
+use super::{ComparedQuantity, relative};
 
 type Point = [f64; 2];
 
@@ -232,7 +232,7 @@ fn body(case: &Case, corners: &[Vec<Point>], rigid: &[usize]) -> Result<Polygons
 }
 
 /// Geometry, masses and damping of a case, and its motion at instants 1 … T; at instant 0 it is at rest.
-pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     let number = |key: &str| case.number(&format!("scene.{key}"));
     let offsets: Vec<usize> = case.array("vertex_offsets")?.into_iter().map(|n| n as usize).collect();
     let units = offsets.len() - 1;
@@ -260,7 +260,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     let moment = CHIP * SIDES.map(|side| side * side).iter().sum::<f64>() / 12.0;
     let scene = Scene {
         density,
-        stiffness: Stiffness {
+        stiffness: LigamentStiffness {
             stretch: number("k_stretch")?,
             shear: number("k_shear")?,
             bend: number("k_rot")?,
@@ -271,7 +271,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         clamped: held,
         panels: panels.iter().zip(pushes.as_chunks::<3>().0).map(panel).collect(),
         // The disc's sensors have no chip.
-        chip: case.size("scene.n").is_err().then_some(Inertia { mass: CHIP, moment }),
+        chip: case.size("scene.n").is_err().then_some(AddedMass { mass: CHIP, moment }),
         sensors,
         duration: number("duration")?,
         instants: case.size("scene.instants")? - 1,
@@ -329,7 +329,7 @@ fn motion(
     forces: &Forces,
     of: &str,
     pool: &metasense_numerics::Pool,
-) -> Result<Vec<Row>, CaseError> {
+) -> Result<Vec<ComparedQuantity>, CaseError> {
     let named = |quantity: &str| {
         if of.is_empty() { quantity.to_owned() } else { format!("{quantity}, masses of the initial body") }
     };
@@ -354,7 +354,7 @@ fn motion(
     let States { last, kinetic, elastic } = states(scene, design, forces, &run, &geometry);
     let mut theirs = case.array(&file("final_x"))?;
     theirs.extend(case.array(&file("final_v"))?);
-    rows.push(Row::new(named("final state"), relative(&last, &theirs), 1e-6));
+    rows.push(ComparedQuantity::new(named("final state"), relative(&last, &theirs), 1e-6));
     if of.is_empty() {
         let later = |name: &str| -> Result<Vec<f64>, CaseError> {
             let all = case.array_of(name, forces.samples * (scene.instants + 1))?;
@@ -364,9 +364,9 @@ fn motion(
             later("external")?.iter().zip(later("dissipated")?).map(|(work, lost)| work - lost).collect();
         let gained: Vec<f64> = kinetic.iter().zip(&elastic).map(|(k, e)| k + e).collect();
         rows.extend([
-            Row::new("kinetic energy", relative(&kinetic, &later("kinetic")?), 1e-6),
-            Row::new("elastic energy", relative(&elastic, &later("elastic")?), 1e-6),
-            Row::new("work done minus dissipation", relative(&gained, &net_work), 1e-6),
+            ComparedQuantity::new("kinetic energy", relative(&kinetic, &later("kinetic")?), 1e-6),
+            ComparedQuantity::new("elastic energy", relative(&elastic, &later("elastic")?), 1e-6),
+            ComparedQuantity::new("work done minus dissipation", relative(&gained, &net_work), 1e-6),
         ]);
     }
     Ok(rows)

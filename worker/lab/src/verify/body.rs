@@ -2,13 +2,13 @@
 
 use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
-    Energy, Forces, Outcome, Scene, Simulation, Solver, Tolerance, Wrt, energy, energy_design_gradient,
-    energy_gradient, run, signal_error, simulate, start, tune,
+    Energy, Forces, IntegratorSettings, Outcome, Scene, Simulation, Tolerance, Wrt, energy,
+    energy_design_gradient, energy_gradient, run, signal_error, simulate, start, tune,
 };
 use metasense_numerics::stimuli::resample;
 
 use super::case::{Case, CaseError};
-use super::{DEFAULT, Row, relative};
+use super::{ComparedQuantity, DEFAULT, relative};
 
 /// Tolerance relative to the array's norm: rounding of sums of a few hundred terms in f64.
 const ROUNDING: f64 = 1e-12;
@@ -17,10 +17,10 @@ const ROUNDING: f64 = 1e-12;
 pub(super) const LEEWAY: f64 = 1.2;
 
 /// Solver for all comparisons of trajectories.
-pub(super) const TIGHT: Solver = Solver::tsit5(Tolerance::both(1e-11));
+pub(super) const TIGHT: IntegratorSettings = IntegratorSettings::tsit5(Tolerance::both(1e-11));
 
 /// Initial design, vertices, centroids, arms, area, mass, moment, void angles, ligaments.
-pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
+pub fn geometry(case: &Case) -> Result<Vec<ComparedQuantity>, CaseError> {
     let scene = case.scene()?;
     let layout = &scene.layout;
     let g = scene.geometry(&case.design(&scene)?);
@@ -42,12 +42,12 @@ pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
         let theirs = [read("a")?, read("node_a")?, read("b")?, read("node_b")?];
         different += usize::from(theirs != [ours.a.unit, ours.a.node, ours.b.unit, ours.b.node]);
     }
-    rows.push(Row::new("ligaments that differ", different as f64, 0.0));
+    rows.push(ComparedQuantity::new("ligaments that differ", different as f64, 0.0));
     Ok(rows)
 }
 
 /// Elastic and contact energy, the derivatives of their sum in state and design, and the void angles.
-pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
+pub fn energies(case: &Case) -> Result<Vec<ComparedQuantity>, CaseError> {
     let scene = case.scene()?;
     let design = case.design(&scene)?;
     let (mut elastic, mut contact, mut dx, mut dalpha) = (vec![], vec![], vec![], vec![]);
@@ -78,7 +78,11 @@ pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
     let on_circle =
         |angles: &[f64]| angles.iter().flat_map(|a| <[f64; 2]>::from(a.sin_cos())).collect::<Vec<_>>();
     let theirs = case.array_of("void_angles", voids.len())?;
-    rows.push(Row::new("void_angles", relative(&on_circle(&voids), &on_circle(&theirs)), ROUNDING));
+    rows.push(ComparedQuantity::new(
+        "void_angles",
+        relative(&on_circle(&voids), &on_circle(&theirs)),
+        ROUNDING,
+    ));
     Ok(rows)
 }
 
@@ -89,7 +93,7 @@ pub(super) fn outcomes(simulation: &Simulation) -> String {
 }
 
 /// Signals, final state and energies at tight tolerance; the error at default settings; forces from a record.
-pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
     let own = |key: &str| case.number(&format!("self_consistency.{key}"));
@@ -113,10 +117,10 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     let start = elastic + contact;
     let gained: Vec<f64> = states.kinetic.iter().zip(&states.elastic).map(|(k, e)| k + e - start).collect();
     rows.extend([
-        Row::new("final state", relative(&states.last, &theirs), allowed),
+        ComparedQuantity::new("final state", relative(&states.last, &theirs), allowed),
         case.row("kinetic energy", &states.kinetic, "kinetic_energy", allowed)?,
         case.row("elastic energy", &states.elastic, "elastic_energy", allowed)?,
-        Row::new("work done minus dissipation", relative(&gained, &stays), allowed.max(1e-6)),
+        ComparedQuantity::new("work done minus dissipation", relative(&gained, &stays), allowed.max(1e-6)),
     ]);
     if !scene.imposed.is_empty() {
         rows.push(case.row("initial equilibrium", places.as_flattened(), "start", ROUNDING)?);
@@ -127,7 +131,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         let start = case.number("record_t0")?;
         let read = |record| resample(record, start, dt, scene.duration, scene.instants);
         let ours: Vec<f64> = record.chunks(samples.max(1)).flat_map(read).collect();
-        rows.push(Row::new("forces from the record", relative(&ours, &forces.values), ROUNDING));
+        rows.push(ComparedQuantity::new("forces from the record", relative(&ours, &forces.values), ROUNDING));
     }
 
     let tuned = tune(&scene, &design, &forces, &DEFAULT, pool);
@@ -137,8 +141,8 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         ("sensors at default settings", signal_error(&usual.signals, &signals, 3 * scene.sensors.len()));
     // If the pilot found no steps within the tolerance, the error is only shown.
     let row = match tuned.error {
-        Some(_) => Row::new(name, error, LEEWAY * DEFAULT.accuracy.0),
-        None => Row::shown(name, error),
+        Some(_) => ComparedQuantity::new(name, error, LEEWAY * DEFAULT.accuracy.0),
+        None => ComparedQuantity::shown(name, error),
     };
     let note = format!("{work} force evaluations per sample; {} {}", tuned.plan.reason, outcomes(&usual));
     rows.push(row.noted(note.trim_end()));
@@ -185,7 +189,7 @@ pub(super) fn states(
 }
 
 /// Gradient in α of ⟨cotangent, signals⟩, compared with automatic differentiation.
-pub fn adjoint(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+pub fn adjoint(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
     let run = simulate(&scene, &design, &forces, &TIGHT, true, pool);
@@ -203,7 +207,7 @@ pub fn adjoint(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>,
 }
 
 /// Bell pulses from their recorded parameters.
-pub fn stimuli(case: &Case) -> Result<Vec<Row>, CaseError> {
+pub fn stimuli(case: &Case) -> Result<Vec<ComparedQuantity>, CaseError> {
     use metasense_numerics::stimuli::Pulse;
     let scene = case.scene()?;
     let read = |name: &str| case.array(name);
@@ -221,5 +225,5 @@ pub fn stimuli(case: &Case) -> Result<Vec<Row>, CaseError> {
         };
         pulse.history_into(scene.duration, history);
     }
-    Ok(vec![Row::new("forces", relative(&found, &expected), ROUNDING)])
+    Ok(vec![ComparedQuantity::new("forces", relative(&found, &expected), ROUNDING)])
 }

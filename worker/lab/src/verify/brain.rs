@@ -7,7 +7,7 @@ use metasense_numerics::brain::{
 use metasense_numerics::simd::Width;
 
 use super::case::{Case, CaseError};
-use super::{Row, dot, relative};
+use super::{ComparedQuantity, dot, relative};
 
 const F64: f64 = 1e-10;
 const F32: f64 = 1e-4;
@@ -36,7 +36,7 @@ fn cast<F: Real>(values: &[f64]) -> Vec<F> {
 
 /// Output, loss, gradients, second derivatives and five Adam steps, in both precisions, with every instruction set of the
 /// machine.
-pub fn network(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+pub fn network(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     let mut rows = Vec::new();
     for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
         rows.extend(network_in::<f64>(case, width, "f64", F64, pool)?);
@@ -51,7 +51,7 @@ fn network_in<F: Real>(
     precision: &str,
     tolerance: f64,
     pool: &metasense_numerics::Pool,
-) -> Result<Vec<Row>, CaseError> {
+) -> Result<Vec<ComparedQuantity>, CaseError> {
     let (shape, samples) = (shape(case)?, case.size("N")?);
     let x = case.array_of("x", samples * shape.instants * shape.inputs)?;
     let y = case.array_of("y", samples * shape.instants * shape.outputs)?;
@@ -61,7 +61,7 @@ fn network_in<F: Real>(
     let mut rows = Vec::new();
     let mut compare = |quantity: &str, found: &[F], expected: &[f64]| {
         let found: Vec<f64> = found.iter().map(|v| v.to_f64()).collect();
-        rows.push(Row::new(
+        rows.push(ComparedQuantity::new(
             format!("{quantity} {precision} {}", width.name()),
             relative(&found, expected),
             tolerance,
@@ -85,7 +85,7 @@ fn network_in<F: Real>(
         (0..losses.len()).map(|i| case.number(&format!("adam.losses_before_step.{i}"))).collect();
     let ours: Vec<f64> = losses.into_iter().map(f64::from).collect();
     let name = format!("losses before each step {precision} {}", width.name());
-    rows.push(Row::new(name, relative(&ours, &theirs?), F32));
+    rows.push(ComparedQuantity::new(name, relative(&ours, &theirs?), F32));
     if let Some(last) = rows.last_mut() {
         last.note = outcome.name().to_string();
     }
@@ -93,7 +93,7 @@ fn network_in<F: Real>(
 }
 
 /// b, the direct term, z after 20 conjugate-gradient iterations at each λ, and the resulting implicit term.
-pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     let shape = shape(case)?;
     let data = |set: &str| -> Result<Data<f64>, CaseError> {
         let samples = case.size(&format!("N_{set}"))? * shape.instants;
@@ -106,10 +106,10 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
     let (loss, grad_x) = full_gradient(&weights, test.all(), &mut b, ws, pool);
     let direct = dot(&grad_x, &case.array_of("dA_test", grad_x.len())?);
     let mut rows = vec![
-        Row::new("test loss", relative(&[loss], &[case.number("loss_test")?]), F64),
+        ComparedQuantity::new("test loss", relative(&[loss], &[case.number("loss_test")?]), F64),
         case.row("∂L_test/∂β", &b, "b", F64)?,
         case.row("∂L_test/∂A", &grad_x, "grad_x_test", F64)?,
-        Row::new("direct term", relative(&[direct], &[case.number("direct")?]), 1e-9),
+        ComparedQuantity::new("direct term", relative(&[direct], &[case.number("direct")?]), 1e-9),
     ];
     let curvature = Curvature::new(&weights, train.all(), ws, pool);
     for i in 0..case.list("solves")?.len() {
@@ -130,12 +130,12 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
         rows.extend([
             match number("cg_min_rayleigh")? {
                 // Our solver stops at negative curvature, where the term is meaningless.
-                least if least < 0.0 => Row::shown(name, error)
+                least if least < 0.0 => ComparedQuantity::shown(name, error)
                     .noted(format!("{note}; the reference continued through {least:.0e}")),
-                _ => Row::new(name, error, tolerance).noted(note),
+                _ => ComparedQuantity::new(name, error, tolerance).noted(note),
             },
             case.row(&format!("implicit term, λ = {lambda}"), &term, &format!("implicit_cg_{lambda}"), F64)?,
-            Row::new(
+            ComparedQuantity::new(
                 format!("implicit scalar, λ = {lambda}"),
                 relative(&[scalar], &[number("cg_implicit")?]),
                 1e-9,
@@ -146,7 +146,7 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
 }
 
 /// Errors of samples, their mean, and which samples have none.
-pub fn metric(case: &Case) -> Result<Vec<Row>, CaseError> {
+pub fn metric(case: &Case) -> Result<Vec<ComparedQuantity>, CaseError> {
     let size = |axis: usize| case.size(&format!("arrays.force.{axis}"));
     let (samples, instants, panels) = (size(0)?, size(1)?, size(2)?);
     let read = |name: &str| case.array_of(name, samples * instants * panels);
@@ -156,13 +156,13 @@ pub fn metric(case: &Case) -> Result<Vec<Row>, CaseError> {
     let theirs: Vec<f64> = expected.iter().copied().filter(|e| !e.is_nan()).collect();
     let disagree = found.iter().zip(&expected).filter(|(f, e)| f.is_none() != e.is_nan()).count();
     let mut rows = vec![
-        Row::new("error of samples", relative(&known, &theirs), 1e-12),
-        Row::new("samples without force that are misclassified", disagree as f64, 0.0),
+        ComparedQuantity::new("error of samples", relative(&known, &theirs), 1e-12),
+        ComparedQuantity::new("samples without force that are misclassified", disagree as f64, 0.0),
     ];
     // Without errors there is no mean.
     if !known.is_empty() {
         let mean = known.iter().sum::<f64>() / known.len() as f64;
-        rows.push(Row::new("mean error", relative(&[mean], &[case.number("mean")?]), 1e-12));
+        rows.push(ComparedQuantity::new("mean error", relative(&[mean], &[case.number("mean")?]), 1e-12));
     }
     Ok(rows)
 }

@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Contact, Forces, Frame, Panel, PrescribedMotion, Scene, Stiffness};
+use metasense_numerics::dynamics::{
+    AccelerationFrame, EdgeContact, Forces, LigamentStiffness, Panel, PrescribedMotion, Scene,
+};
 use metasense_worker::{files, polygons};
 use serde_json::Value;
 
-use super::{Row, relative};
+use super::{ComparedQuantity, relative};
 
 /// Why a case cannot be compared.
 #[derive(Debug, thiserror::Error)]
@@ -135,8 +137,14 @@ impl Case {
     }
 
     /// A row that compares `ours` with array `name`.
-    pub fn row(&self, quantity: &str, ours: &[f64], name: &str, tolerance: f64) -> Result<Row, CaseError> {
-        Ok(Row::new(quantity, relative(ours, &self.array(name)?), tolerance))
+    pub fn row(
+        &self,
+        quantity: &str,
+        ours: &[f64],
+        name: &str,
+        tolerance: f64,
+    ) -> Result<ComparedQuantity, CaseError> {
+        Ok(ComparedQuantity::new(quantity, relative(ours, &self.array(name)?), tolerance))
     }
 
     /// Array `name` (…, units, 3), divided into states.
@@ -182,7 +190,7 @@ impl Case {
             }
         }
         let contact = match self.flag("scene.contact")? {
-            true => Some(Contact {
+            true => Some(EdgeContact {
                 stiffness: number("k_contact")?,
                 min_angle: number("psi_min")?,
                 cutoff_angle: number("psi_cut")?,
@@ -191,7 +199,7 @@ impl Case {
         };
         Ok(Scene {
             density: number("density")?,
-            stiffness: Stiffness {
+            stiffness: LigamentStiffness {
                 stretch: number("k_stretch")?,
                 shear: number("k_shear")?,
                 bend: number("k_rot")?,
@@ -204,7 +212,11 @@ impl Case {
             imposed: pressed,
             panels,
             sensors: units("sensors")?,
-            frame: if self.text("scene.frame")? == "body" { Frame::Body } else { Frame::World },
+            frame: if self.text("scene.frame")? == "body" {
+                AccelerationFrame::Body
+            } else {
+                AccelerationFrame::World
+            },
             duration: number("duration")?,
             instants: size("T")?,
             layout,

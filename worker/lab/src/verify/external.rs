@@ -4,11 +4,11 @@ use metasense_numerics::Pool;
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::external::{External, Question};
+use metasense_worker::external::{External, SimulationRequest};
 use metasense_worker::problem::external::body;
-use metasense_worker::run::Failure;
+use metasense_worker::run::NoResult;
 
-use super::{Row, dot, relative};
+use super::{ComparedQuantity, dot, relative};
 use crate::prepare::any_body;
 
 /// Samples of a test.
@@ -25,11 +25,11 @@ const ORDER: f64 = 0.2;
 ///
 /// # Errors
 /// If the body is not external or its process fails.
-pub fn external(trial: &TrialSpec, pool: &Pool) -> Result<Vec<Row>, Failure> {
-    let (initial, body) = body(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
+pub fn external(trial: &TrialSpec, pool: &Pool) -> Result<Vec<ComparedQuantity>, NoResult> {
+    let (initial, body) = body(trial).map_err(|invalid| NoResult::Rejected(invalid.to_string()))?;
     let problem = any_body(trial)?;
     let forces = problem.forces(Purpose::Stimulus, 0, SAMPLES);
-    tests(&body, &problem.scene, &initial, &forces, trial.solver.tolerance, pool).map_err(Failure::of_body)
+    tests(&body, &problem.scene, &initial, &forces, trial.solver.tolerance, pool).map_err(NoResult::of_body)
 }
 
 fn tests(
@@ -39,18 +39,18 @@ fn tests(
     forces: &Forces,
     tolerance: f64,
     pool: &Pool,
-) -> Result<Vec<Row>, metasense_numerics::trial::Fault> {
+) -> Result<Vec<ComparedQuantity>, metasense_numerics::trial::BodyFailure> {
     let heartbeat = pool.heartbeat();
-    let question = Question { scene, design: initial, forces, tolerance };
+    let question = SimulationRequest { scene, design: initial, forces, tolerance };
     body.check_repeats(&question, heartbeat)?;
-    let mut rows = vec![Row::new("apply and vjp repeat bit by bit", 0.0, 0.0)];
+    let mut rows = vec![ComparedQuantity::new("apply and vjp repeat bit by bit", 0.0, 0.0)];
 
     let signals = body.apply(&question, heartbeat)?;
     let mut apart = Vec::with_capacity(signals.len());
     for i in 0..forces.samples {
-        apart.extend(body.apply(&Question { forces: &forces.select(&[i]), ..question }, heartbeat)?);
+        apart.extend(body.apply(&SimulationRequest { forces: &forces.select(&[i]), ..question }, heartbeat)?);
     }
-    rows.push(Row::new("samples together and one by one", relative(&apart, &signals), 1e-9));
+    rows.push(ComparedQuantity::new("samples together and one by one", relative(&apart, &signals), 1e-9));
 
     let size = (dot(initial, initial) / initial.len() as f64).sqrt();
     let size = if size > 0.0 { size } else { 1.0 };
@@ -60,12 +60,12 @@ fn tests(
     let gradient = body.vjp(&question, &cotangent, heartbeat)?;
     let twice: Vec<f64> = cotangent.iter().map(|c| -2.0 * c).collect();
     let twice: Vec<f64> = body.vjp(&question, &twice, heartbeat)?.iter().map(|g| -0.5 * g).collect();
-    rows.push(Row::new("vjp is linear in the cotangent", relative(&twice, &gradient), 1e-9));
+    rows.push(ComparedQuantity::new("vjp is linear in the cotangent", relative(&twice, &gradient), 1e-9));
 
     // ⟨c, A(α + h v)⟩ − ⟨c, A(α)⟩
     let change = |h: f64| {
         let design: Vec<f64> = initial.iter().zip(&way).map(|(x, v)| x + h * v).collect();
-        let moved = body.apply(&Question { design: &design, ..question }, heartbeat)?;
+        let moved = body.apply(&SimulationRequest { design: &design, ..question }, heartbeat)?;
         let change: Vec<f64> = moved.iter().zip(&signals).map(|(a, b)| a - b).collect();
         Ok(dot(&cotangent, &change))
     };
@@ -79,13 +79,13 @@ fn tests(
         remainders.push((ahead - h * slope).abs());
     }
     let note = "⟨c, J v⟩ by central differences against ⟨Jᵀ c, v⟩, at the best of 12 steps";
-    rows.push(Row::new("derivative", least, DERIVATIVE).noted(note));
+    rows.push(ComparedQuantity::new("derivative", least, DERIVATIVE).noted(note));
     let clear: Vec<f64> = remainders.into_iter().take_while(|r| *r > noise).collect();
     let order = match &clear[..] {
         [first, .., last] => (first / last).log2() / (clear.len() - 1) as f64,
         _ => 2.0, // the body is linear in its design
     };
     let note = format!("Taylor: order {order:.2} of the remainder, over {} steps", clear.len());
-    rows.push(Row::new("2 − order", 2.0 - order, ORDER).noted(note));
-    Ok(rows.into_iter().map(|row| Row { case: "external body".to_owned(), ..row }).collect())
+    rows.push(ComparedQuantity::new("2 − order", 2.0 - order, ORDER).noted(note));
+    Ok(rows.into_iter().map(|row| ComparedQuantity { case: "external body".to_owned(), ..row }).collect())
 }

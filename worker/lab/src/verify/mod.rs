@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use metasense_numerics::dynamics::{Accuracy, Method, Solver};
+use metasense_numerics::dynamics::{Accuracy, Integrator, IntegratorSettings};
 use serde::Serialize;
 
 pub mod authors;
@@ -18,11 +18,11 @@ use case::{Case, CaseError};
 pub use external::external;
 
 /// The default solver of a spec.
-const DEFAULT: Solver = Solver::new(Method::Auto, Accuracy(1e-3));
+const DEFAULT: IntegratorSettings = IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3));
 
 /// One compared quantity.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub struct ComparedQuantity {
     /// Name of the case, or group of checks.
     pub case: String,
     /// Compared quantity.
@@ -37,7 +37,7 @@ pub struct Row {
     pub note: String,
 }
 
-impl Row {
+impl ComparedQuantity {
     /// A row that passes if `error` is at most `tolerance`; NaN fails.
     pub(crate) fn new(quantity: impl Into<String>, error: f64, tolerance: f64) -> Self {
         Self {
@@ -69,23 +69,23 @@ impl Row {
 ///
 /// # Errors
 /// If the folder cannot be listed or contains no folder.
-pub fn cases(folder: &Path, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+pub fn cases(folder: &Path, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     let mut rows = Vec::new();
     for folder in case::folders(folder)? {
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let compared = Case::open(&folder)
             .and_then(|case| compare(&case, pool))
-            .unwrap_or_else(|e| vec![Row::failed("case").noted(e.to_string())]);
+            .unwrap_or_else(|e| vec![ComparedQuantity::failed("case").noted(e.to_string())]);
         rows.extend(of_case(&name, compared));
     }
     Ok(rows)
 }
 
-fn of_case(name: &str, rows: Vec<Row>) -> Vec<Row> {
-    rows.into_iter().map(|row| Row { case: name.to_string(), ..row }).collect()
+fn of_case(name: &str, rows: Vec<ComparedQuantity>) -> Vec<ComparedQuantity> {
+    rows.into_iter().map(|row| ComparedQuantity { case: name.to_string(), ..row }).collect()
 }
 
-fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
+fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<ComparedQuantity>, CaseError> {
     match case.text("kind")? {
         "geometry" => body::geometry(case),
         "authors_trajectory" => authors::trajectory(case, pool),

@@ -14,9 +14,10 @@ fn pool() -> metasense_numerics::Pool {
     metasense_numerics::Pool::new(2).expect("threads")
 }
 
-fn hold(rows: &[Row], at_least: usize) {
-    rows.iter().for_each(|Row { quantity, error, note, .. }| println!("{quantity}: {error:?} {note}"));
-    let failed: Vec<&Row> = rows.iter().filter(|row| !row.pass).collect();
+fn hold(rows: &[ComparedQuantity], at_least: usize) {
+    rows.iter()
+        .for_each(|ComparedQuantity { quantity, error, note, .. }| println!("{quantity}: {error:?} {note}"));
+    let failed: Vec<&ComparedQuantity> = rows.iter().filter(|row| !row.pass).collect();
     assert!(failed.is_empty() && rows.len() >= at_least, "{} rows: {failed:#?}", rows.len());
 }
 
@@ -24,10 +25,10 @@ fn hold(rows: &[Row], at_least: usize) {
 #[test]
 fn every_integrator_is_what_it_says() {
     let solvers = [
-        Solver::tsit5(Tolerance::both(1e-11)),
-        Solver::new(Method::Leapfrog, Accuracy(1e-3)),
-        Solver::new(Method::Nystrom4, Accuracy(1e-6)),
-        Solver::new(Method::Nystrom6, Accuracy(1e-7)),
+        IntegratorSettings::tsit5(Tolerance::both(1e-11)),
+        IntegratorSettings::new(Integrator::Leapfrog, Accuracy(1e-3)),
+        IntegratorSettings::new(Integrator::Nystrom4, Accuracy(1e-6)),
+        IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-7)),
     ];
     hold(&checks::rows(&solvers, &pool()), 30);
 }

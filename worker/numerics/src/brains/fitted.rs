@@ -9,7 +9,7 @@ use super::ridge::{self, FoldSplit};
 use super::{FittedDecoder, Recipe};
 use crate::Pool;
 use crate::brain::linear::{Linear, Normal, Sizes};
-use crate::trial::{Decoder, Ridge, Samples, Scales, Trial, Trouble};
+use crate::trial::{Decoder, PreparedTrial, RidgeChoice, Samples, Scales, Trouble};
 
 /// Exponents of κ = 10⁰, …, 10⁻⁸.
 const SHARES: std::ops::RangeInclusive<i32> = 0..=8;
@@ -34,7 +34,7 @@ impl Fitted {
     ///
     /// # Errors
     /// If no λ gives a solution.
-    pub(crate) fn of(trial: &Trial, known: &Samples) -> Result<Self, Trouble> {
+    pub(crate) fn of(trial: &PreparedTrial, known: &Samples) -> Result<Self, Trouble> {
         let problem = &trial.problem;
         problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
     }
@@ -97,15 +97,15 @@ impl Pooled {
     ///
     /// # Errors
     /// If no λ gives a solution.
-    pub(crate) fn new(trial: &Trial, samples: &Samples, casts: usize) -> Result<Self, Trouble> {
+    pub(crate) fn new(trial: &PreparedTrial, samples: &Samples, casts: usize) -> Result<Self, Trouble> {
         let (decoder, scales) = (trial.problem.decoder, trial.scales.clone());
         let known = ScaledSamples::of(samples, &scales, trial.pool);
         let normal = known.normal(decoder.lags);
         let (dealt, each) = (ridge::assign_folds(trial.problem.seed, casts), samples.count() / casts);
         let dealt: Vec<usize> = (0..samples.count()).map(|i| dealt[i / each]).collect();
         let ridge = match decoder.ridge {
-            Ridge::Given(ridge) => ridge,
-            Ridge::Auto => ridge::ridge_of(&known, &normal, &dealt)?,
+            RidgeChoice::Given(ridge) => ridge,
+            RidgeChoice::Auto => ridge::ridge_of(&known, &normal, &dealt)?,
         };
         let fitted = Fitted::new(solve(normal.clone(), ridge)?.linear(), ridge, &known, &scales);
         Ok(Self { normal, scales, fitted })

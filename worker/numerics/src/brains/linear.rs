@@ -11,7 +11,7 @@ use crate::Pool;
 use crate::brain::linear::{self, Lags, Linear, Normal, Order, Sizes};
 use crate::stimuli::members;
 use crate::trial::{
-    Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
+    Counters, Decoder, PreparedTrial, RidgeChoice, Samples, Scales, Trouble, error_of_each, mean_error, pick,
 };
 use std::ops::Range;
 
@@ -30,7 +30,7 @@ impl Decoder {
         let both = |reach| Lags { before: reach, after: reach };
         let solvable = |lags: &Lags| lags.unknowns(channels) <= UNKNOWNS_MAX;
         let lags = (0..instants).rev().map(both).find(solvable).unwrap_or(both(0));
-        Self { lags, ridge: Ridge::Auto }
+        Self { lags, ridge: RidgeChoice::Auto }
     }
 }
 
@@ -113,8 +113,8 @@ impl ScaledSamples {
 }
 
 /// Solves the normal equations.
-pub(crate) fn solve(normal: Normal, ridge: f64) -> Result<linear::Fit, Trouble> {
-    linear::Fit::new(normal, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
+pub(crate) fn solve(normal: Normal, ridge: f64) -> Result<linear::FactoredEquations, Trouble> {
+    linear::FactoredEquations::new(normal, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
 }
 
 impl Decoder {
@@ -124,13 +124,13 @@ impl Decoder {
     /// If no λ gives a solution.
     pub(super) fn ridge_of(&self, seed: u64, train: &ScaledSamples, all: &Normal) -> Result<f64, Trouble> {
         match self.ridge {
-            Ridge::Given(ridge) => Ok(ridge),
-            Ridge::Auto => ridge::ridge_of(train, all, &ridge::assign_folds(seed, train.w.len())),
+            RidgeChoice::Given(ridge) => Ok(ridge),
+            RidgeChoice::Auto => ridge::ridge_of(train, all, &ridge::assign_folds(seed, train.w.len())),
         }
     }
 }
 
-impl Trial<'_> {
+impl PreparedTrial<'_> {
     /// λ of the trial's linear decoder on the initial body's training samples.
     ///
     /// # Errors
@@ -164,9 +164,9 @@ impl Trial<'_> {
 
 /// A linear decoder that trains a body; each fit is independent of the last.
 pub(super) struct LinearLearner<'a> {
-    trial: &'a Trial<'a>,
+    trial: &'a PreparedTrial<'a>,
     /// Decoder of this step, and its factorisation if the implicit term needs it.
-    linear: Option<(Linear, Option<linear::Fit>)>,
+    linear: Option<(Linear, Option<linear::FactoredEquations>)>,
     /// Recent bodies' samples, with their normal equations.
     known: Vec<(Samples, Normal)>,
     /// The newest body's samples, decoded without them.
@@ -179,7 +179,7 @@ fn is_due(step: u32) -> bool {
 }
 
 impl<'a> LinearLearner<'a> {
-    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+    pub(super) fn new(trial: &'a PreparedTrial<'a>) -> Self {
         Self { trial, linear: None, known: Vec::new(), crossed: None }
     }
 
@@ -245,7 +245,7 @@ impl<'a> LinearLearner<'a> {
         self.known = bodies.iter().map(|body| (*body).clone()).zip(equations).collect();
 
         let crossed = CrossValidation::new(samples, casts, members, &parts, &all, ridge)?;
-        if problem.decoder.ridge == Ridge::Auto {
+        if problem.decoder.ridge == RidgeChoice::Auto {
             learnt.ridge = Some(crossed.next_ridge());
         }
         let linear = solve(all, ridge)?.linear();

@@ -33,25 +33,27 @@ pub use records::{HeldOutEstimates, records};
 pub(crate) use stacked::Stack;
 pub use stacked::predict_on;
 pub use tasks::{
-    Calibration, Labeller, Labels, RECORDS_MIN, Readout, ReadoutWeights, Task, TaskEstimate, TaskReadouts,
-    Tasks,
+    Calibration, Labeller, Labels, RECORDS_MIN, Readout, ReadoutWeights, SensingTask, TaskEstimate,
+    TaskReadouts, Tasks,
 };
 pub(crate) use tasks::{task_errors, task_estimates, task_readouts};
 
 use crate::brain::{Adam, Architecture, SolveOutcome};
-use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};
+use crate::trial::{
+    Counters, Decoder, DecoderKind, PreparedTrial, Problem, RateSchedule, Samples, Scales, Trouble,
+};
 
 /// How a decoder is constructed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Recipe {
     /// Kind of decoder.
-    pub kind: BrainKind,
+    pub kind: DecoderKind,
     /// Layers of a network.
     pub architecture: Architecture,
     /// Learning rate of Adam.
     pub rate: f64,
     /// Schedule of this rate.
-    pub schedule: Schedule,
+    pub schedule: RateSchedule,
     /// Samples per iteration; `None`: all.
     pub batch: Option<usize>,
     /// The linear decoder; in a stacked decoder, its first part.
@@ -133,11 +135,11 @@ pub(crate) fn new_decoder<'a>(
     pool: &'a crate::Pool,
 ) -> Result<Box<dyn FittedDecoder + 'a>, Trouble> {
     Ok(match recipe.kind {
-        BrainKind::Network | BrainKind::Stacked => {
+        DecoderKind::Network | DecoderKind::Stacked => {
             Box::new(network::NetworkDecoder::new(recipe, known, scales, pool)?)
         }
-        BrainKind::Linear => Box::new(fitted::LinearDecoder::new(recipe, known, scales, pool)),
-        BrainKind::Inverse => unreachable!("it reads a body, by the body's model: `Inverse`"),
+        DecoderKind::Linear => Box::new(fitted::LinearDecoder::new(recipe, known, scales, pool)),
+        DecoderKind::Inverse => unreachable!("it reads a body, by the body's model: `Inverse`"),
     })
 }
 
@@ -149,7 +151,7 @@ pub(crate) fn new_decoder<'a>(
 /// # Panics
 /// If the trial's decoder has no weights, or lengths do not match.
 pub fn predict_with(
-    trial: &Trial,
+    trial: &PreparedTrial,
     all: &Samples,
     kinds: &[u8],
     weights: &[f32],
@@ -277,11 +279,11 @@ pub(crate) trait Learner {
 }
 
 /// The decoder that trains the trial's bodies.
-pub(crate) fn learner<'a>(trial: &'a Trial<'a>) -> Box<dyn Learner + 'a> {
+pub(crate) fn learner<'a>(trial: &'a PreparedTrial<'a>) -> Box<dyn Learner + 'a> {
     match trial.problem.optimise.brain {
         _ if !trial.problem.tasks.trained.is_empty() => Box::new(tasks::TaskLearner::new(trial)),
-        BrainKind::Linear => Box::new(linear::LinearLearner::new(trial)),
-        BrainKind::Network => Box::new(network::NetworkLearner::new(trial)),
-        BrainKind::Stacked | BrainKind::Inverse => unreachable!("it only reads"),
+        DecoderKind::Linear => Box::new(linear::LinearLearner::new(trial)),
+        DecoderKind::Network => Box::new(network::NetworkLearner::new(trial)),
+        DecoderKind::Stacked | DecoderKind::Inverse => unreachable!("it only reads"),
     }
 }

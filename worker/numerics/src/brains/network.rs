@@ -3,7 +3,9 @@
 use super::stacked::Stack;
 use super::{DecoderState, FitOn, FitResult, FittedDecoder, Implicit, Learner, Loss, Recipe, implicit};
 use crate::brain::{self, Adam, Batch, Data, Shape, TrainOutcome, Workspace};
-use crate::trial::{BrainKind, Counters, Protocol, Samples, Scales, StepTraining, Training, Trial, Trouble};
+use crate::trial::{
+    Counters, DecoderKind, PreparedTrial, Samples, Scales, StepTraining, Training, TrainingProtocol, Trouble,
+};
 
 /// Number of the first reader's initial weights; smaller numbers belong to outer steps.
 const FIRST_NETWORK: u64 = 1 << 32;
@@ -63,7 +65,7 @@ impl<'a> NetworkDecoder<'a> {
         pool: &'a crate::Pool,
     ) -> Result<Self, Trouble> {
         let sizes = known.sizes;
-        let stacked = recipe.kind == BrainKind::Stacked;
+        let stacked = recipe.kind == DecoderKind::Stacked;
         let stack =
             stacked.then(|| Stack::new(&recipe.decoder, recipe.seed, known, linear, pool)).transpose()?;
         let shape = Shape {
@@ -208,7 +210,7 @@ fn check_training(outcome: TrainOutcome) -> Result<(), Trouble> {
 
 /// A network that trains a body.
 pub(super) struct NetworkLearner<'a> {
-    trial: &'a Trial<'a>,
+    trial: &'a PreparedTrial<'a>,
     shape: Shape,
     /// Weights at this step.
     weights: Vec<f32>,
@@ -216,15 +218,15 @@ pub(super) struct NetworkLearner<'a> {
 }
 
 impl<'a> NetworkLearner<'a> {
-    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+    pub(super) fn new(trial: &'a PreparedTrial<'a>) -> Self {
         let shape = trial.problem.shape();
         Self { trial, shape, weights: Vec::new(), workspace: Workspace::new(shape, trial.pool.width()) }
     }
 
     fn continued_settings(&self) -> StepTraining {
         match self.trial.problem.optimise.protocol {
-            Protocol::Joint(going) | Protocol::Random(going) => going,
-            Protocol::Paper(_) => panic!("the paper's networks are fresh"),
+            TrainingProtocol::Joint(going) | TrainingProtocol::Random(going) => going,
+            TrainingProtocol::Paper(_) => panic!("the paper's networks are fresh"),
         }
     }
 

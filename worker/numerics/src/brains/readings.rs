@@ -2,8 +2,8 @@
 //! memories.
 
 use super::linear::{ScaledSamples, solve};
-use crate::brain::linear::{Fit, Lags, Linear, Order, Sizes};
-use crate::trial::{Decoder, Ridge, Samples, Spread, Trial, Trouble, mean_error};
+use crate::brain::linear::{FactoredEquations, Lags, Linear, Order, Sizes};
+use crate::trial::{Decoder, PreparedTrial, RidgeChoice, Samples, Spread, Trouble, mean_error};
 
 /// Errors of a linear decoder with one memory on a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,7 +50,7 @@ fn reading(sets: &[ScaledSamples; 3], linear: &Linear, ridge: f64) -> Reading {
 ///
 /// # Errors
 /// If no λ gives a solution.
-pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
+pub(crate) fn readings(trial: &PreparedTrial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
     let known = &sets[0];
     let sets = &sets.each_ref().map(|set| ScaledSamples::of(set, &trial.scales, trial.pool));
     let train = &sets[0];
@@ -63,7 +63,7 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     let normal = train.normal(whole);
     let ridge = trial.ridge_for(&decoder, known, train, &normal)?;
     let read = |linear: &Linear| reading(sets, linear, ridge);
-    let factor = |order| Fit::new(normal.clone(), ridge, order).map_err(|_| Trouble::Singular);
+    let factor = |order| FactoredEquations::new(normal.clone(), ridge, order).map_err(|_| Trouble::Singular);
     let delta = trial.problem.scene.duration / instants as f64;
     let instants = |seconds: f64| Lags::nearest_group_end((seconds / delta).round() as usize);
     let shorter = |seconds: f64| Some(instants(seconds)).filter(|n| *n < reach);
@@ -89,13 +89,13 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
 /// # Errors
 /// If no λ gives a solution.
 pub(crate) fn own_reading(
-    trial: &Trial,
+    trial: &PreparedTrial,
     sets: &[Samples; 3],
     readings: &mut Vec<Reading>,
 ) -> Result<Reading, Trouble> {
     let decoder = trial.problem.decoder;
     let own = match readings.first() {
-        Some(whole) if whole.lags == decoder.lags && decoder.ridge == Ridge::Auto => *whole,
+        Some(whole) if whole.lags == decoder.lags && decoder.ridge == RidgeChoice::Auto => *whole,
         _ => {
             let known = &sets[0];
             let sets = &sets.each_ref().map(|set| ScaledSamples::of(set, &trial.scales, trial.pool));

@@ -19,7 +19,7 @@ pub use weights::{ReadoutWeights, TaskReadouts};
 use super::readout::{Basis, Output};
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::random::Purpose;
-use crate::trial::{Counters, FAILED, Problem, Samples, Trial, Trouble, pick};
+use crate::trial::{Counters, FAILED, PreparedTrial, Problem, Samples, Trouble, pick};
 use window::Window;
 
 /// Share of a sample's greatest force above which a panel counts as struck, and a force as started.
@@ -29,7 +29,7 @@ pub const RECORDS_MIN: usize = 10;
 
 /// A quantity to estimate from a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Task {
+pub enum SensingTask {
     /// The panel with the greatest force.
     Panel,
     /// The number of panels whose greatest force exceeds a tenth of the sample's.
@@ -46,7 +46,7 @@ pub enum Task {
     Kind,
 }
 
-impl Task {
+impl SensingTask {
     /// All tasks.
     pub const ALL: [Self; 7] =
         [Self::Panel, Self::Count, Self::Position, Self::Peak, Self::Impulse, Self::Onset, Self::Kind];
@@ -74,7 +74,7 @@ impl Task {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Tasks {
     /// The quantities, without onsets if readouts have a window; empty: the decoder estimates the forces.
-    pub trained: Vec<Task>,
+    pub trained: Vec<SensingTask>,
     /// Number of instants that a readout sees from the first contact on; `None`: the whole record.
     pub window: Option<usize>,
 }
@@ -107,7 +107,7 @@ pub struct Labeller {
 
 impl Labeller {
     /// Label of forces (T, K) (N) of this part of a mixture.
-    pub fn label(&self, task: Task, forces: &[f64], part: usize) -> Vec<f64> {
+    pub fn label(&self, task: SensingTask, forces: &[f64], part: usize) -> Vec<f64> {
         let (panels, interval) = (self.points.len(), self.interval);
         let of = |k: usize| forces.iter().skip(k).step_by(panels).map(|f| f.abs());
         let impulse = |k: usize| 1e3 * interval * of(k).sum::<f64>();
@@ -115,34 +115,34 @@ impl Labeller {
         let most = peaks.iter().copied().fold(0.0, f64::max);
         let begun = |f: &f64| f.abs() > BEGUN * most;
         match task {
-            Task::Panel => vec![peaks.iter().position(|peak| *peak == most).unwrap_or(0) as f64],
-            Task::Count => vec![peaks.iter().filter(|peak| begun(peak)).count() as f64],
-            Task::Position => {
+            SensingTask::Panel => vec![peaks.iter().position(|peak| *peak == most).unwrap_or(0) as f64],
+            SensingTask::Count => vec![peaks.iter().filter(|peak| begun(peak)).count() as f64],
+            SensingTask::Position => {
                 let total: f64 = (0..panels).map(impulse).sum();
                 let mean = |d: usize| (0..panels).map(|k| impulse(k) * self.points[k][d]).sum::<f64>();
                 [0, 1].map(|d| mean(d) / total.max(f64::MIN_POSITIVE)).to_vec()
             }
-            Task::Peak => peaks,
-            Task::Impulse => (0..panels).map(impulse).collect(),
-            Task::Onset => {
+            SensingTask::Peak => peaks,
+            SensingTask::Impulse => (0..panels).map(impulse).collect(),
+            SensingTask::Onset => {
                 let at = forces.iter().position(begun).map_or(0, |at| at / panels);
                 vec![1e3 * interval * (at + 1) as f64]
             }
-            Task::Kind => vec![part as f64],
+            SensingTask::Kind => vec![part as f64],
         }
     }
 
     /// The tasks whose labels differ among samples with these forces (N, T, K) (N) and parts (N). Samples without force do not
     /// count.
-    pub fn varied(&self, forces: &[f64], parts: &[usize], instants: usize) -> Vec<Task> {
+    pub fn varied(&self, forces: &[f64], parts: &[usize], instants: usize) -> Vec<SensingTask> {
         let samples = || forces.chunks_exact(instants * self.points.len()).zip(parts);
-        let varies = |task: &Task| {
+        let varies = |task: &SensingTask| {
             let has_force = |(own, _): &(&[f64], &usize)| own.iter().any(|f| *f != 0.0);
             let mut labels = samples().filter(has_force).map(|(own, part)| self.label(*task, own, *part));
             let first = labels.next();
             labels.any(|label| first.as_ref() != Some(&label))
         };
-        Task::ALL.into_iter().filter(varies).collect()
+        SensingTask::ALL.into_iter().filter(varies).collect()
     }
 }
 
@@ -174,7 +174,7 @@ pub struct Readout {
 /// The readout of a task.
 #[derive(Debug, Clone)]
 struct TaskFit {
-    task: Task,
+    task: SensingTask,
     /// Classes, ascending; empty for values.
     classes: Vec<f64>,
     /// One per class or value.
@@ -184,7 +184,7 @@ struct TaskFit {
 }
 
 impl TaskFit {
-    fn new(task: Task, basis: &Basis, labels: &Labels) -> Self {
+    fn new(task: SensingTask, basis: &Basis, labels: &Labels) -> Self {
         let classes = if task.is_class() { classes(labels) } else { Vec::new() };
         let mut fit = Self { task, classes, outputs: Vec::new(), variation: 0.0 };
         let targets: Labels = labels.iter().map(|label| fit.targets(label)).collect();
@@ -213,7 +213,7 @@ impl TaskFit {
 
 impl Readout {
     /// Fits readouts to the signals (N, p) of N records with these labels per task.
-    pub fn new(signals: &[f64], tasks: &[(Task, Labels)]) -> Self {
+    pub fn new(signals: &[f64], tasks: &[(SensingTask, Labels)]) -> Self {
         let basis = Basis::new(signals, tasks[0].1.len());
         let fits = tasks.iter().map(|(task, labels)| TaskFit::new(*task, &basis, labels)).collect();
         Self { basis, fits }
@@ -235,7 +235,7 @@ impl Readout {
 
     /// Error (%) of records with these signals (n, p) and labels per task: squared errors of the outputs relative to their mean
     /// variation among the records of the fit; the mean over tasks.
-    fn errors(&self, signals: &[f64], tasks: &[(Task, Labels)]) -> Vec<f64> {
+    fn errors(&self, signals: &[f64], tasks: &[(SensingTask, Labels)]) -> Vec<f64> {
         let mut errors = vec![0.0; tasks[0].1.len()];
         for (fit, (_, labels)) in self.fits.iter().zip(tasks) {
             let outputs = self.basis.predict(&fit.outputs, signals);
@@ -273,12 +273,12 @@ struct Labelled {
     starts: Vec<usize>,
     /// Signals in the window (n, len·3M), divided by the trial's scales.
     signals: Vec<f64>,
-    tasks: Vec<(Task, Labels)>,
+    tasks: Vec<(SensingTask, Labels)>,
 }
 
 impl Labelled {
     /// Of these samples, which have these parts of the mixture.
-    fn of(trial: &Trial, samples: &Samples, parts: &[usize]) -> Self {
+    fn of(trial: &PreparedTrial, samples: &Samples, parts: &[usize]) -> Self {
         let used = samples.with_force();
         let len = samples.sizes.instants * samples.sizes.outputs;
         let forces = |i: usize| &samples.targets[i * len..][..len];
@@ -286,8 +286,8 @@ impl Labelled {
             (trial.scales.inputs(&pick(&samples.signals, samples.count(), &used)), Window::of(trial));
         let starts = window.starts(&whole);
         let labeller = trial.problem.labeller();
-        let label = |task: Task, i: usize| labeller.label(task, forces(i), parts[i]);
-        let labels = |task: &Task| (*task, used.iter().map(|&i| label(*task, i)).collect::<Labels>());
+        let label = |task: SensingTask, i: usize| labeller.label(task, forces(i), parts[i]);
+        let labels = |task: &SensingTask| (*task, used.iter().map(|&i| label(*task, i)).collect::<Labels>());
         let tasks = trial.problem.tasks.trained.iter().map(labels).collect();
         let signals = window.signals(&whole, &starts);
         Self { used, window, starts, signals, tasks }
@@ -320,7 +320,10 @@ impl Labelled {
 ///
 /// # Errors
 /// If the training samples are too few or too similar.
-pub(crate) fn task_errors(trial: &Trial, sets: &[Samples; 3]) -> Result<[Vec<Option<f64>>; 3], Trouble> {
+pub(crate) fn task_errors(
+    trial: &PreparedTrial,
+    sets: &[Samples; 3],
+) -> Result<[Vec<Option<f64>>; 3], Trouble> {
     let parts = trial.problem.parts();
     let labelled = [0, 1, 2].map(|set| Labelled::of(trial, &sets[set], &parts[set]));
     let readout = labelled[0].fit()?;
@@ -329,12 +332,12 @@ pub(crate) fn task_errors(trial: &Trial, sets: &[Samples; 3]) -> Result<[Vec<Opt
 
 /// Readouts that train a body: each fit is to the newest body's samples alone.
 pub(super) struct TaskLearner<'a> {
-    trial: &'a Trial<'a>,
+    trial: &'a PreparedTrial<'a>,
     fitted: Option<(Labelled, Readout)>,
 }
 
 impl<'a> TaskLearner<'a> {
-    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+    pub(super) fn new(trial: &'a PreparedTrial<'a>) -> Self {
         Self { trial, fitted: None }
     }
 

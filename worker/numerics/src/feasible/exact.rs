@@ -15,7 +15,7 @@ type Point = [f64; 2];
 
 /// Kinds of violated constraints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum ViolationKind {
     /// A coordinate is NaN or infinite.
     NotFinite,
     /// The edges of a unit cross, or the unit is inverted.
@@ -38,20 +38,20 @@ pub enum Kind {
     LigamentClearance,
 }
 
-impl Kind {
+impl ViolationKind {
     /// Name in commands.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::NotFinite => "not finite",
-            Kind::NotSimple => "not simple",
-            Kind::Edge => "edge",
-            Kind::BlockAngleLow => "least interior angle",
-            Kind::BlockAngleHigh => "greatest interior angle",
-            Kind::LigamentAngle => "ligament angle",
-            Kind::VoidAngle => "void angle",
-            Kind::Overlap => "overlap",
-            Kind::Clearance => "clearance",
-            Kind::LigamentClearance => "ligament clearance",
+            ViolationKind::NotFinite => "not finite",
+            ViolationKind::NotSimple => "not simple",
+            ViolationKind::Edge => "edge",
+            ViolationKind::BlockAngleLow => "least interior angle",
+            ViolationKind::BlockAngleHigh => "greatest interior angle",
+            ViolationKind::LigamentAngle => "ligament angle",
+            ViolationKind::VoidAngle => "void angle",
+            ViolationKind::Overlap => "overlap",
+            ViolationKind::Clearance => "clearance",
+            ViolationKind::LigamentClearance => "ligament clearance",
         }
     }
 }
@@ -60,7 +60,7 @@ impl Kind {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Violation {
     /// Kind of constraint.
-    pub kind: Kind,
+    pub kind: ViolationKind,
     /// The units; equal if only one is concerned. For a ligament, the unit of its first end.
     pub units: [usize; 2],
     /// Node of the first unit, if the constraint belongs to a node or to the edge that starts there.
@@ -78,30 +78,30 @@ impl fmt::Display for Violation {
         let (value, limit) = (self.value, self.limit);
         let (degrees, limit_degrees) = (value.to_degrees(), limit.to_degrees());
         match self.kind {
-            Kind::NotFinite => write!(f, "unit {a}, node {node}: a coordinate is not finite"),
-            Kind::NotSimple => write!(f, "unit {a}: its edges cross, or it is inverted"),
-            Kind::Edge => write!(f, "unit {a}, edge from node {node}: {value:.4} mm < {limit} mm"),
-            Kind::BlockAngleLow => {
+            ViolationKind::NotFinite => write!(f, "unit {a}, node {node}: a coordinate is not finite"),
+            ViolationKind::NotSimple => write!(f, "unit {a}: its edges cross, or it is inverted"),
+            ViolationKind::Edge => write!(f, "unit {a}, edge from node {node}: {value:.4} mm < {limit} mm"),
+            ViolationKind::BlockAngleLow => {
                 write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° < {limit_degrees:.3}°")
             }
-            Kind::BlockAngleHigh => {
+            ViolationKind::BlockAngleHigh => {
                 write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° > {limit_degrees:.3}°")
             }
-            Kind::LigamentAngle => {
+            ViolationKind::LigamentAngle => {
                 write!(
                     f,
                     "unit {a}, node {node}: {degrees:.3}° between edge and ligament < {limit_degrees:.3}°"
                 )
             }
-            Kind::VoidAngle => {
+            ViolationKind::VoidAngle => {
                 write!(
                     f,
                     "units {a} and {b}, node {node} of {a}: void angle {degrees:.3}° < {limit_degrees:.3}°"
                 )
             }
-            Kind::Overlap => write!(f, "units {a} and {b} overlap"),
-            Kind::Clearance => write!(f, "units {a} and {b}: {value:.4} mm apart < {limit} mm"),
-            Kind::LigamentClearance => {
+            ViolationKind::Overlap => write!(f, "units {a} and {b} overlap"),
+            ViolationKind::Clearance => write!(f, "units {a} and {b}: {value:.4} mm apart < {limit} mm"),
+            ViolationKind::LigamentClearance => {
                 write!(f, "ligament at unit {a}, node {node}, and unit {b}: {value:.4} mm apart < {limit} mm")
             }
         }
@@ -119,7 +119,7 @@ pub fn violations(layout: &Layout, limits: &Limits, design: &[f64]) -> Vec<Viola
     for (u, corners) in units.iter().enumerate() {
         for (p, corner) in corners.iter().enumerate() {
             if !(corner[0].is_finite() && corner[1].is_finite()) {
-                found.push(broken(Kind::NotFinite, [u, u], Some(p), f64::NAN, 0.0));
+                found.push(broken(ViolationKind::NotFinite, [u, u], Some(p), f64::NAN, 0.0));
             }
         }
     }
@@ -134,7 +134,7 @@ pub fn violations(layout: &Layout, limits: &Limits, design: &[f64]) -> Vec<Viola
     found
 }
 
-fn broken(kind: Kind, units: [usize; 2], node: Option<usize>, value: f64, limit: f64) -> Violation {
+fn broken(kind: ViolationKind, units: [usize; 2], node: Option<usize>, value: f64, limit: f64) -> Violation {
     Violation { kind, units, node, value, limit }
 }
 
@@ -169,7 +169,7 @@ fn judge_unit(u: usize, corners: &[Point], limits: &Limits, rigid: bool, found: 
     let fan = |p: usize| cross(minus(corners[p], corners[0]), minus(corners[p + 1], corners[0]));
     let area: f64 = (1..count - 1).map(fan).sum();
     if crossing || !(area > 0.0) {
-        found.push(broken(Kind::NotSimple, [u, u], None, area, 0.0));
+        found.push(broken(ViolationKind::NotSimple, [u, u], None, area, 0.0));
     }
     if rigid {
         return;
@@ -179,14 +179,14 @@ fn judge_unit(u: usize, corners: &[Point], limits: &Limits, rigid: bool, found: 
         let back = minus(corners[(p + count - 1) % count], corners[p]);
         let edge = onward[0].hypot(onward[1]);
         if !(edge >= limits.min_edge) {
-            found.push(broken(Kind::Edge, [u, u], Some(p), edge, limits.min_edge));
+            found.push(broken(ViolationKind::Edge, [u, u], Some(p), edge, limits.min_edge));
         }
         let angle = turn(onward, back);
         if !(angle >= limits.min_block_angle) {
-            found.push(broken(Kind::BlockAngleLow, [u, u], Some(p), angle, limits.min_block_angle));
+            found.push(broken(ViolationKind::BlockAngleLow, [u, u], Some(p), angle, limits.min_block_angle));
         }
         if !(angle <= limits.max_block_angle) {
-            found.push(broken(Kind::BlockAngleHigh, [u, u], Some(p), angle, limits.max_block_angle));
+            found.push(broken(ViolationKind::BlockAngleHigh, [u, u], Some(p), angle, limits.max_block_angle));
         }
     }
 }
@@ -217,7 +217,7 @@ fn judge_ligaments(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found
                 if !(angle >= limits.min_ligament_angle) {
                     let node = Some(end.node);
                     found.push(broken(
-                        Kind::LigamentAngle,
+                        ViolationKind::LigamentAngle,
                         [end.unit, other.unit],
                         node,
                         angle,
@@ -232,7 +232,7 @@ fn judge_ligaments(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found
             ([b.unit, a.unit], b.node, at_b[0] + at_a[1] - PI),
         ] {
             if !(angle >= limits.min_void_angle) {
-                found.push(broken(Kind::VoidAngle, units, Some(node), angle, limits.min_void_angle));
+                found.push(broken(ViolationKind::VoidAngle, units, Some(node), angle, limits.min_void_angle));
             }
         }
     }
@@ -329,7 +329,7 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
         return;
     }
     if units_only {
-        let kind = if distance > 0.0 { Kind::Clearance } else { Kind::Overlap };
+        let kind = if distance > 0.0 { ViolationKind::Clearance } else { ViolationKind::Overlap };
         let (a, b) = (one.units[0].min(other.units[0]), one.units[0].max(other.units[0]));
         found.push(broken(kind, [a, b], None, distance, limit));
     } else {
@@ -339,7 +339,7 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
             _ => (other, one),
         };
         found.push(broken(
-            Kind::LigamentClearance,
+            ViolationKind::LigamentClearance,
             [bar.units[0], thing.units[0]],
             bar.node,
             distance,

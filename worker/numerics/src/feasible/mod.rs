@@ -18,7 +18,7 @@ mod rows;
 #[cfg(test)]
 mod tests;
 
-pub use exact::{Kind, Violation};
+pub use exact::{Violation, ViolationKind};
 pub use linear::{LinearLimits, LinearRow};
 pub use overlap::{Overlaps, overlaps};
 pub use project::{Active, Projection, Stage, Status, distance};
@@ -69,14 +69,14 @@ pub trait Castable {
     fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection;
 }
 
-impl Castable for Feasible {
+impl Castable for FeasibleSet {
     fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
-        Feasible::project(self, previous, target, weights)
+        FeasibleSet::project(self, previous, target, weights)
     }
 }
 
 /// The set of feasible designs of a layout.
-pub struct Feasible {
+pub struct FeasibleSet {
     layout: Layout,
     limits: Limits,
     rows: rows::Rows,
@@ -87,7 +87,7 @@ pub struct Feasible {
     leader: Option<Vec<usize>>,
 }
 
-impl Feasible {
+impl FeasibleSet {
     /// Feasible designs of `layout` within `limits`; nodes of `fixed_units` stay where the previous design has them.
     pub fn new(layout: &Layout, limits: Limits, fixed_units: &[usize]) -> Self {
         let mut fixed = vec![false; layout.groups.count()];

@@ -10,7 +10,7 @@
 
 use super::program::{MARGIN, ProgramInput, Step};
 use super::rows::{Key, Row, RowKind};
-use super::{Feasible, Kind};
+use super::{FeasibleSet, ViolationKind};
 use crate::body::End;
 
 /// Outcome of a projection.
@@ -63,7 +63,7 @@ pub enum Stage {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Active {
     /// Kind of constraint.
-    pub kind: Kind,
+    pub kind: ViolationKind,
     /// The units; equal if only one is concerned.
     pub units: [usize; 2],
     /// Node of the first unit.
@@ -143,7 +143,7 @@ impl Aim<'_> {
     }
 }
 
-impl Feasible {
+impl FeasibleSet {
     /// Finds the feasible design nearest to `target` in the metric `weights` (per coordinate, such as Adam's √v̂; `None`:
     /// Euclidean), or returns `previous`, as the status states. Reuses memory of earlier calls, but no results.
     ///
@@ -237,7 +237,7 @@ impl Feasible {
             |x: &[f64], g: usize| (x[2 * g] - aim.target[2 * g]).hypot(x[2 * g + 1] - aim.target[2 * g + 1]);
         let mut edges: Vec<(f64, [usize; 2], [f64; 2])> = Vec::new();
         let vertices = self.layout.vertices(&best);
-        for active in self.active(&best).iter().filter(|a| a.kind == Kind::Edge) {
+        for active in self.active(&best).iter().filter(|a| a.kind == ViolationKind::Edge) {
             let (unit, p) = (active.units[0], active.node);
             let next = self.layout.next(End { unit, node: p }).node;
             let [Some(here), Some(there)] = [p, next].map(|node| self.layout.groups.of_nodes[unit][node])
@@ -370,16 +370,16 @@ impl super::rows::Rows {
         let [first, second, _] = row.key.at.map(|n| n as usize);
         let unit = self.unit(first);
         let (kind, units) = match row.key.kind {
-            RowKind::Edge => (Kind::Edge, [unit, unit]),
-            RowKind::AngleLow => (Kind::BlockAngleLow, [unit, unit]),
-            RowKind::AngleHigh => (Kind::BlockAngleHigh, [unit, unit]),
-            RowKind::Ligament => (Kind::LigamentAngle, [unit, unit]),
-            RowKind::Void => (Kind::VoidAngle, [unit, self.across(first, second)]),
+            RowKind::Edge => (ViolationKind::Edge, [unit, unit]),
+            RowKind::AngleLow => (ViolationKind::BlockAngleLow, [unit, unit]),
+            RowKind::AngleHigh => (ViolationKind::BlockAngleHigh, [unit, unit]),
+            RowKind::Ligament => (ViolationKind::LigamentAngle, [unit, unit]),
+            RowKind::Void => (ViolationKind::VoidAngle, [unit, self.across(first, second)]),
             RowKind::Corners | RowKind::Side | RowKind::Through if row.bar => {
-                (Kind::LigamentClearance, [unit, self.unit(second)])
+                (ViolationKind::LigamentClearance, [unit, self.unit(second)])
             }
             RowKind::Corners | RowKind::Side | RowKind::Through => {
-                (Kind::Clearance, [unit, self.unit(second)])
+                (ViolationKind::Clearance, [unit, self.unit(second)])
             }
         };
         Active { kind, units, node: first - self.first(unit), slack: row.value }

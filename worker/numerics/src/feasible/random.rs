@@ -1,12 +1,12 @@
 //! Random feasible designs: a baseline of arbitrary geometries.
 
-use super::{Feasible, Status};
+use super::{FeasibleSet, Status};
 use crate::random::{Purpose, Stream};
 
 /// Number of draws.
 const ATTEMPTS: u64 = 8;
 
-impl Feasible {
+impl FeasibleSet {
     /// Design number `seed`: adds a uniform random number in ± `size` (mm) to each shift of the feasible design `regular`, then
     /// projects; fixed units stay. `None` if no draw gives a feasible design.
     pub fn random_design(&mut self, regular: &[f64], seed: u64, size: f64) -> Option<Vec<f64>> {

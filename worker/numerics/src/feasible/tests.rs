@@ -9,10 +9,10 @@ const PATTERNS: [fn(f64) -> Pattern; 4] =
     [|_| Pattern::square(), |_| Pattern::kagome(), Pattern::triangular, Pattern::chiral];
 const ANGLE: f64 = 25.0 * std::f64::consts::PI / 180.0;
 
-fn body(columns: usize, rows: usize) -> (Layout, Vec<f64>, Feasible) {
+fn body(columns: usize, rows: usize) -> (Layout, Vec<f64>, FeasibleSet) {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
     let start = layout.initial_design(ANGLE);
-    let feasible = Feasible::new(&layout, Limits::default(), &[]);
+    let feasible = FeasibleSet::new(&layout, Limits::default(), &[]);
     (layout, start, feasible)
 }
 
@@ -55,7 +55,7 @@ fn every_lattice_starts_castable_and_stays_so() {
         let of = |columns: usize| Layout::circular(&pattern(ANGLE), columns, 15.0, 2.25);
         for layout in [Layout::sheet(&pattern(ANGLE), 4, 3, 15.0, 2.25), of(4), of(5)] {
             let start = layout.initial_design(ANGLE);
-            let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
+            let mut feasible = FeasibleSet::new(&layout, Limits::default(), &[]);
             let what = format!("lattice {number}, {} units", layout.units());
             assert_eq!(feasible.violations(&start), [], "{what}");
             for (seed, size) in [(1, 1.0), (2, 2.5), (3, 4.0)] {
@@ -108,7 +108,7 @@ fn what_is_not_finite_keeps_the_previous_design() {
         target[5] = bad;
         let out = feasible.project(&start, &target, None);
         assert_eq!((out.status, &out.design), (Status::NotFinite, &start));
-        assert_eq!(feasible.violations(&target)[0].kind, Kind::NotFinite);
+        assert_eq!(feasible.violations(&target)[0].kind, ViolationKind::NotFinite);
         let weights = vec![bad; start.len()];
         let out = feasible.project(&start, &noisy(&start, 6.0, 1), Some(&weights));
         assert_eq!(out.status, Status::NotFinite);
@@ -130,7 +130,7 @@ fn contradictory_limits_are_named() {
         Limits { min_block_angle: 1.6, ..Limits::default() },
         Limits { min_edge: 200.0, clearance: 200.0, ..Limits::default() },
     ] {
-        let out = Feasible::new(&layout, limits, &[]).project(&start, &start, None);
+        let out = FeasibleSet::new(&layout, limits, &[]).project(&start, &start, None);
         assert_eq!(out.status, Status::Infeasible, "{limits:?}");
     }
 }
@@ -140,7 +140,7 @@ fn contradictory_limits_are_named() {
 fn fixed_units_stay() {
     let layout = Layout::planar(4, 4, 15.0, 2.25);
     let start = layout.initial_design(ANGLE);
-    let mut feasible = Feasible::new(&layout, Limits::default(), &[0, 13]);
+    let mut feasible = FeasibleSet::new(&layout, Limits::default(), &[0, 13]);
     let out = feasible.project(&start, &noisy(&start, 5.0, 2), None);
     assert_eq!(out.status, Status::Projected);
     let (before, after) = (layout.vertices(&start), layout.vertices(&out.design));
@@ -176,7 +176,7 @@ fn plated() -> (Layout, Vec<f64>) {
 #[test]
 fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
     let (layout, start) = plated();
-    let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
+    let mut feasible = FeasibleSet::new(&layout, Limits::default(), &[]);
     assert_eq!(feasible.violations(&start), []);
     for (seed, size) in [(1, 4.0), (2, 5.0), (3, 6.0), (4, 7.5)] {
         let out = feasible.project(&start, &noisy(&start, size, seed), None);
@@ -189,7 +189,7 @@ fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
     let free = layout.groups.of_nodes[4][2].unwrap();
     wrong[2 * free + 1] += 22.0;
     let kinds: Vec<_> = feasible.violations(&wrong).iter().map(|v| (v.kind, v.units)).collect();
-    assert!(kinds.contains(&(Kind::Overlap, [4, 6])), "{kinds:?}");
+    assert!(kinds.contains(&(ViolationKind::Overlap, [4, 6])), "{kinds:?}");
 }
 
 /// Without limits every finite design is returned unchanged; its overlaps are counted: a square moved onto its neighbour, and an
@@ -213,7 +213,7 @@ fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
         wide[2 * layout.groups.of_nodes[1][node].unwrap()] += 6.5;
     }
     let limits = Limits { enforced: false, ..Limits::default() };
-    let mut feasible = Feasible::new(&layout, limits, &[]);
+    let mut feasible = FeasibleSet::new(&layout, limits, &[]);
     let out = feasible.project(&still, &wide, None);
     assert_eq!((out.status, &out.design, out.active.len()), (Status::Untouched, &wide, 0));
     let Overlaps { pairs, area, inverted, .. } = overlaps(&layout, &wide);
@@ -239,11 +239,11 @@ fn the_judge_names_what_is_broken() {
     };
     assert!(seen(4, 0, [0.0, 0.0]).is_empty());
     // A free corner moved across its own unit, which inverts it.
-    assert!(seen(0, 2, [16.0, 0.0]).contains(&(Kind::NotSimple, [0, 0])));
+    assert!(seen(0, 2, [16.0, 0.0]).contains(&(ViolationKind::NotSimple, [0, 0])));
     // Stretched to a needle.
-    assert!(seen(0, 2, [-30.0, 0.0]).contains(&(Kind::BlockAngleLow, [0, 0])));
+    assert!(seen(0, 2, [-30.0, 0.0]).contains(&(ViolationKind::BlockAngleLow, [0, 0])));
     // Moved far across the neighbour above.
-    assert!(seen(0, 2, [0.0, 22.0]).contains(&(Kind::Overlap, [0, 3])));
+    assert!(seen(0, 2, [0.0, 22.0]).contains(&(ViolationKind::Overlap, [0, 3])));
 }
 
 /// Random designs are feasible, equal for equal seeds, and far from each other.
@@ -251,7 +251,7 @@ fn the_judge_names_what_is_broken() {
 fn random_designs_are_feasible_and_named_by_their_seed() {
     let layout = Layout::circular(&Pattern::square(), 5, 15.0, 2.25);
     let start = layout.initial_design(ANGLE);
-    let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
+    let mut feasible = FeasibleSet::new(&layout, Limits::default(), &[]);
     let designs: Vec<Vec<f64>> =
         (0..6).map(|seed| feasible.random_design(&start, seed, 3.75).expect("a design")).collect();
     for (seed, design) in designs.iter().enumerate() {
@@ -360,7 +360,7 @@ proptest! {
         };
         // Small discs have three units.
         let fixed: Vec<usize> = fixed.into_iter().map(|unit| unit % layout.units()).collect();
-        let mut feasible = Feasible::new(&layout, limits, &fixed);
+        let mut feasible = FeasibleSet::new(&layout, limits, &fixed);
         let start = layout.initial_design(angle);
         let target = noisy(&start, size, seed);
         let weights: Vec<f64> = noisy(&vec![1.0; start.len()], 0.99, seed + 1);

@@ -7,7 +7,7 @@
 //! readings are not interpolated. For given signals, a search and Newton steps find the best δ of each record (variable projection: Golub
 //! and Pereyra, SIAM J. Numer. Anal. 10, 1973), so the gradient at fixed δ is that of the minimum.
 
-use crate::dynamics::{Forces, Scene, Solver, planned, run};
+use crate::dynamics::{Forces, IntegratorSettings, Scene, planned, run};
 use crate::student::student;
 use nalgebra::{DMatrix, DVector};
 
@@ -93,7 +93,7 @@ impl Clock {
         least: usize,
         (scene, design): (&Scene, &[f64]),
         forces: &Forces,
-        solver: &Solver,
+        solver: &IntegratorSettings,
         pool: &crate::Pool,
     ) -> Option<Self> {
         let (interval, kinks) = (scene.duration / scene.instants as f64, forces.kinks(scene));

@@ -1,8 +1,8 @@
 //! Minimises F by L-BFGS (Nocedal, Math. Comput. 35, 1980) with adjoint gradients. The metric is the Gauss–Newton curvature, damped after
 //! Marquardt (SIAM J. Appl. Math. 11, 1963). Updates of noise and fit alternate.
 
-use super::objective::{Columns, Objective, Point};
-use super::{Ending, Estimate, Fit, GoOn, Iteration, Turn, Unknown};
+use super::objective::{Columns, FitPoint, Misfit};
+use super::{Ending, Estimate, Fit, FitIteration, GoOn, Iteration, Unknown};
 use crate::definite::{inverse, solved_dense};
 use crate::dynamics::Parameters;
 use nalgebra::{DMatrix, DVector};
@@ -29,10 +29,10 @@ pub struct How {
 
 /// A fit in progress.
 pub struct Descent<'a> {
-    pub objective: Objective<'a>,
+    pub objective: Misfit<'a>,
     go_on: &'a mut GoOn<'a>,
-    known: &'a [Turn],
-    watch: &'a mut dyn FnMut(&Turn),
+    known: &'a [FitIteration],
+    watch: &'a mut dyn FnMut(&FitIteration),
     pub iterations: Vec<Iteration>,
     pub steps: usize,
     /// Ending of the last round.
@@ -41,10 +41,10 @@ pub struct Descent<'a> {
 
 impl<'a> Descent<'a> {
     pub fn new(
-        objective: Objective<'a>,
+        objective: Misfit<'a>,
         go_on: &'a mut GoOn<'a>,
-        known: &'a [Turn],
-        watch: &'a mut dyn FnMut(&Turn),
+        known: &'a [FitIteration],
+        watch: &'a mut dyn FnMut(&FitIteration),
     ) -> Self {
         let (iterations, ending) = (Vec::new(), Ending::NoProgress);
         Self { objective, go_on, known, watch, iterations, steps: 0, ending }
@@ -52,7 +52,7 @@ impl<'a> Descent<'a> {
 
     /// Alternates noise and fit in the present window until both converge. Returns the final point and Jacobian columns near it (no columns
     /// if all rounds are in `known`). `None` if `go_on` returns `false`.
-    pub fn settle(&mut self, mut point: Point, how: How) -> Option<(Point, Option<Columns>)> {
+    pub fn settle(&mut self, mut point: FitPoint, how: How) -> Option<(FitPoint, Option<Columns>)> {
         self.objective.weigh(&point);
         let begun = self.iterations.len();
         // Then no caller needs columns.
@@ -85,7 +85,7 @@ impl<'a> Descent<'a> {
         Some((point, columns))
     }
 
-    fn told(&mut self, point: &Point, ending: Ending, steps: usize) -> Turn {
+    fn told(&mut self, point: &FitPoint, ending: Ending, steps: usize) -> FitIteration {
         let mut parameters = self.objective.parameters();
         parameters.iter_mut().zip(point.cast.material.array()).for_each(|(own, by)| *own *= by);
         let iteration = Iteration {
@@ -93,7 +93,7 @@ impl<'a> Descent<'a> {
             misfit: self.objective.misfit(point)[1],
             parameters: Parameters::from_array(parameters),
         };
-        let turn = Turn { iteration, z: point.z.as_slice().to_vec(), ending, steps };
+        let turn = FitIteration { iteration, z: point.z.as_slice().to_vec(), ending, steps };
         (self.watch)(&turn);
         turn
     }
@@ -101,10 +101,10 @@ impl<'a> Descent<'a> {
     /// L-BFGS in the metric `curvature`. Returns ending, number of steps and final point.
     fn descend(
         &mut self,
-        point: Point,
+        point: FitPoint,
         curvature: &DMatrix<f64>,
         how: How,
-    ) -> Option<(Ending, usize, Point)> {
+    ) -> Option<(Ending, usize, FitPoint)> {
         let objective = &mut self.objective;
         let mut point = objective.again(point);
         let (mut memory, mut damping): (Vec<[DVector<f64>; 2]>, f64) = (Vec::new(), 0.0);
@@ -169,7 +169,7 @@ impl<'a> Descent<'a> {
 
 impl Fit {
     /// Stores the cast, its misfit and noise, and the estimates.
-    pub(super) fn tell(&mut self, objective: &Objective<'_>, point: &Point, columns: &Columns) {
+    pub(super) fn tell(&mut self, objective: &Misfit<'_>, point: &FitPoint, columns: &Columns) {
         let (unknowns, [left, _]) = (&objective.unknowns, objective.noises(point));
         self.twin.misfit = objective.known_noise().map_or(1.0, |known| {
             let squares: f64 = left.iter().zip(&known).map(|(left, known)| (left / known).powi(2)).sum();

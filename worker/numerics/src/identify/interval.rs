@@ -10,7 +10,7 @@
 
 use super::descent::covariance;
 use super::discrepancy::explained;
-use super::objective::{Columns, Objective, Point};
+use super::objective::{Columns, FitPoint, Misfit};
 use super::unknowns::TRUST;
 use super::{BOX, Fit};
 use crate::student::student;
@@ -38,7 +38,7 @@ pub struct Direction {
 }
 
 /// Sets a fit's intervals from the columns of all records that count.
-pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &Columns) {
+pub fn bound(fit: &mut Fit, objective: &Misfit<'_>, point: &FitPoint, columns: &Columns) {
     let (records, jacobian) = (columns.records.len(), objective.jacobian(point, columns));
     let [read, left, residual] = objective.parts(point, &columns.records);
     let width = fit.twin.noise.len();

@@ -15,13 +15,13 @@ mod objective;
 mod search;
 mod unknowns;
 
-use crate::dynamics::{Accuracy, Counters, Forces, Parameters};
+use crate::dynamics::{Accuracy, Forces, Parameters, SimulationCounts};
 use crate::trial::{Chip, DesignWithSolver, Problem, tuned};
-use crate::variation::{Cast, Variation};
+use crate::variation::{Cast, Deviations};
 pub use clock::{Offset, between, margin};
 use descent::Descent;
 pub use interval::Direction;
-use objective::Objective;
+use objective::Misfit;
 pub use unknowns::Unknown;
 use unknowns::Unknowns;
 
@@ -119,7 +119,7 @@ pub struct Iteration {
 
 /// A finished iteration. A fit resumes from all its turns with bit-identical results.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Turn {
+pub struct FitIteration {
     /// Its window, misfit and parameters.
     pub iteration: Iteration,
     /// z after the iteration.
@@ -182,7 +182,7 @@ pub struct Fit {
     /// Number of steps.
     pub steps: usize,
     /// Cost of the simulations.
-    pub counters: Counters,
+    pub counters: SimulationCounts,
 }
 
 /// How a twin reproduces measured records.
@@ -230,7 +230,7 @@ impl Fit {
                 solver: String::new(),
             },
             steps: 0,
-            counters: Counters::default(),
+            counters: SimulationCounts::default(),
         }
     }
 
@@ -245,14 +245,13 @@ impl Fit {
         go_on: &mut GoOn,
     ) -> Option<Self> {
         let &DesignWithSolver { trial, design, solver } = mould;
-        let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
+        let variation = trial.problem.variation.unwrap_or(Deviations::USUAL);
         let unknowns = Unknowns::new(&trial.problem.scene, &variation, trial.pool);
         let all = (forces, signals, 0.0);
         let problem = &trial.problem;
-        let objective =
-            Objective::new(problem, trial.chip.as_ref(), design, all, unknowns, solver, trial.pool);
+        let objective = Misfit::new(problem, trial.chip.as_ref(), design, all, unknowns, solver, trial.pool);
         let mut fit = Self::begun(&objective.unknowns);
-        let watch: &mut dyn FnMut(&Turn) = &mut |_| ();
+        let watch: &mut dyn FnMut(&FitIteration) = &mut |_| ();
         let mut descent = Descent::new(objective, go_on, &[], watch);
         if descent.objective.leave_out() > 0 {
             fit.ending = Ending::NoProgress;
@@ -278,20 +277,20 @@ impl Fit {
         records: Records<'_>,
         free: &[Parameter],
         pool: &crate::Pool,
-        known: &[Turn],
-        watch: &mut dyn FnMut(&Turn),
+        known: &[FitIteration],
+        watch: &mut dyn FnMut(&FitIteration),
     ) -> Self {
         let own = Parameters::of(&problem.scene).array();
         assert!(free.iter().all(|&k| own[k as usize] > 0.0), "{free:?} of {own:?}");
         let chip = chip(problem, records.1);
         let asked = problem.solver.at_most(FINE);
         let tuned = tuned(problem, &problem.scene, design, records.0, &asked, pool);
-        let variation = problem.variation.unwrap_or(Variation::USUAL);
+        let variation = problem.variation.unwrap_or(Deviations::USUAL);
         let unknowns = Unknowns::of_records(&problem.scene, &variation, free, pool);
         let mut fit = Self::begun(&unknowns);
         fit.measured.solver = tuned.reason;
         let mut objective =
-            Objective::new(problem, chip.as_ref(), design, records, unknowns, &tuned.solver, pool);
+            Misfit::new(problem, chip.as_ref(), design, records, unknowns, &tuned.solver, pool);
         objective.counters += tuned.counters;
         let go_on: &mut GoOn = &mut || true;
         let mut descent = Descent::new(objective, go_on, known, watch);

@@ -3,8 +3,8 @@
 use super::clock::{Clock, Offset};
 use super::unknowns::{Unknown, Unknowns};
 use crate::dynamics::{
-    Accuracy, Counters, Forces, Method, Outcome, Parameters, Plan, Scene, Simulation, Solver, Wrt, planned,
-    run,
+    Accuracy, Forces, IntegrationPlan, Integrator, IntegratorSettings, Outcome, Parameters, Scene,
+    Simulation, SimulationCounts, Wrt, planned, run,
 };
 use crate::trial::{Chip, Problem, tuned as tune_in_motion};
 use crate::variation::Cast;
@@ -26,12 +26,12 @@ pub use columns::Columns;
 use readings::Readings;
 
 /// z, its simulation and its cost.
-pub struct Point {
+pub struct FitPoint {
     pub z: DVector<f64>,
     pub cost: f64,
     pub cast: Cast,
     scene: Scene,
-    plan: Plan,
+    plan: IntegrationPlan,
     simulation: Simulation,
     /// All signals as the cast's chips return them, on the clock of the simulation.
     felt: Vec<f64>,
@@ -43,7 +43,7 @@ pub struct Point {
 }
 
 /// F(z): half the sum of squares of whitened residuals, of clock offsets relative to their deviation, and of unknowns.
-pub struct Objective<'a> {
+pub struct Misfit<'a> {
     problem: &'a Problem,
     design: &'a [f64],
     pool: &'a crate::Pool,
@@ -54,7 +54,7 @@ pub struct Objective<'a> {
     pub moves: usize,
     pub readings: Readings<'a>,
     simulator: Simulator,
-    pub counters: Counters,
+    pub counters: SimulationCounts,
 }
 
 /// What is simulated, and how.
@@ -68,21 +68,21 @@ struct Simulator {
     forces: Forces,
     sharper: Forces,
     /// Solver and plans from `choose_clock`: accurate, and coarse for Jacobian columns.
-    solver: Solver,
-    plan: Plan,
-    coarse: Plan,
+    solver: IntegratorSettings,
+    plan: IntegrationPlan,
+    coarse: IntegrationPlan,
     /// Relative integration error of the signals.
     least: f64,
 }
 
-impl<'a> Objective<'a> {
+impl<'a> Misfit<'a> {
     pub fn new(
         problem: &'a Problem,
         chip: Option<&'a Chip>,
         design: &'a [f64],
         (forces, recordings, deviation): super::Records<'a>,
         unknowns: Unknowns,
-        solver: &Solver,
+        solver: &IntegratorSettings,
         pool: &'a crate::Pool,
     ) -> Self {
         let width = problem.shape().inputs;
@@ -102,11 +102,11 @@ impl<'a> Objective<'a> {
                 forces: forces.clone(),
                 sharper,
                 solver: *solver,
-                plan: Plan::equal(Method::Nystrom6, 1),
-                coarse: Plan::equal(Method::Nystrom6, 1),
+                plan: IntegrationPlan::equal(Integrator::Nystrom6, 1),
+                coarse: IntegrationPlan::equal(Integrator::Nystrom6, 1),
                 least: solver.accuracy.0.clamp(1e-6, 1e-2),
             },
-            counters: Counters::default(),
+            counters: SimulationCounts::default(),
         };
         objective.choose_clock(&problem.scene, design, forces, solver);
         objective.look_at(problem.scene.instants);
@@ -114,7 +114,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Chooses the solver, the clock of the simulation and the plans for a body under the records' forces.
-    fn choose_clock(&mut self, body: &Scene, design: &[f64], forces: &Forces, solver: &Solver) {
+    fn choose_clock(&mut self, body: &Scene, design: &[f64], forces: &Forces, solver: &IntegratorSettings) {
         let (problem, solver) = (self.problem, solver.in_equal_steps());
         let (least, delay) = problem.clock_and_delay();
         self.clock =
@@ -130,7 +130,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Tunes solver and clock for the cast of z. Returns the solver's reason. Call `look_at` afterwards.
-    pub fn tune(&mut self, z: &DVector<f64>, forces: &Forces, asked: &Solver) -> String {
+    pub fn tune(&mut self, z: &DVector<f64>, forces: &Forces, asked: &IntegratorSettings) -> String {
         let cast = self.unknowns.cast(z.as_slice());
         let (scene, design) = (cast.scene(&self.problem.scene), cast.design(self.design));
         let tuned = tune_in_motion(self.problem, &scene, &design, forces, asked, self.pool);
@@ -140,9 +140,9 @@ impl<'a> Objective<'a> {
     }
 
     /// Plans for a scene and forces: accurate, and coarse for Jacobian columns.
-    fn plans(&self, scene: &Scene, design: &[f64], forces: &Forces) -> [Plan; 2] {
+    fn plans(&self, scene: &Scene, design: &[f64], forces: &Forces) -> [IntegrationPlan; 2] {
         let (scene, forces) = self.in_motion(scene, forces);
-        [self.simulator.solver, Solver::new(Method::Nystrom4, COARSE)]
+        [self.simulator.solver, IntegratorSettings::new(Integrator::Nystrom4, COARSE)]
             .map(|solver| planned(&scene, design, &forces, &solver).double())
     }
 
@@ -173,7 +173,7 @@ impl<'a> Objective<'a> {
         to.sharper = to.whole_sharper.beginning(&to.whole.0, instants).1;
     }
 
-    fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
+    fn simulate(&self, plan: &IntegrationPlan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
         let own = cast.scene(&self.simulator.scene);
         let (scene, forces) = self.in_motion(&own, forces);
         run(&scene, &cast.design(self.design), &forces, plan, keep_tape, self.pool)
@@ -194,7 +194,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Simulates at z, clamped to the limits of free parameters. `None` if a record that counts fails.
-    pub fn at(&mut self, mut z: DVector<f64>) -> Option<Point> {
+    pub fn at(&mut self, mut z: DVector<f64>) -> Option<FitPoint> {
         for k in 0..self.unknowns.free() {
             let limit = self.unknowns.limit(k);
             z[k] = z[k].clamp(-limit, limit);
@@ -214,24 +214,24 @@ impl<'a> Objective<'a> {
         let mut felt = std::mem::take(&mut simulation.signals);
         cast.chips.read(&mut felt);
         let (read, offsets, slopes) = (Vec::new(), Vec::new(), Vec::new());
-        let point = Point { z, cost: 0.0, cast, scene, plan, simulation, felt, read, offsets, slopes };
+        let point = FitPoint { z, cost: 0.0, cast, scene, plan, simulation, felt, read, offsets, slopes };
         Some(self.again(point))
     }
 
-    fn cost(&self, point: &Point) -> f64 {
+    fn cost(&self, point: &FitPoint) -> f64 {
         let misfit: f64 = self.readings.residual(&point.read).iter().map(|r| r * r).sum();
         let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.readings.deviation).powi(2)).sum();
         0.5 * (misfit + clocks + point.z.norm_squared())
     }
 
     /// Updates readings, clock offsets and cost for the present weights.
-    pub fn again(&self, mut point: Point) -> Point {
+    pub fn again(&self, mut point: FitPoint) -> FitPoint {
         let (samples, width) = (self.simulator.forces.samples, self.readings.width());
         let Some(clock) = self.clock else {
             if point.read.is_empty() {
                 point.read = self.problem.read(point.felt.clone(), samples);
             }
-            return Point { cost: self.cost(&point), ..point };
+            return FitPoint { cost: self.cost(&point), ..point };
         };
         let felt = self.problem.low_pass_channels(point.felt.clone(), samples, clock.finer);
         let record = self.readings.size();
@@ -245,7 +245,7 @@ impl<'a> Objective<'a> {
         point.offsets = all.iter().map(|(offset, ..)| *offset).collect();
         point.read = all.iter().flat_map(|(_, read, _)| read).copied().collect();
         point.slopes = all.into_iter().flat_map(|(.., slope)| slope).collect();
-        Point { cost: self.cost(&point), ..point }
+        FitPoint { cost: self.cost(&point), ..point }
     }
 
     /// Readings from the signals of all sensors, at these clock offsets.
@@ -267,7 +267,7 @@ impl<'a> Objective<'a> {
     }
 
     /// For the records listed: readings (n, window, channels), R^{-½}(y − a), and the same with R including the clock offsets' prior.
-    pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 3] {
+    pub fn parts(&self, point: &FitPoint, records: &[usize]) -> [Vec<f64>; 3] {
         let record = self.readings.size();
         let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
         let left = self.readings.residual(&point.read);
@@ -282,7 +282,7 @@ impl<'a> Objective<'a> {
     /// Clock offsets with intervals, from [`Self::jacobian`] of all records and t² times the covariance of z.
     pub fn offsets(
         &self,
-        point: &Point,
+        point: &FitPoint,
         columns: &Columns,
         jacobian: &DMatrix<f64>,
         covariance: &DMatrix<f64>,
@@ -302,7 +302,7 @@ impl<'a> Objective<'a> {
     }
 
     /// dF/dz of the fitted unknowns.
-    pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
+    pub fn gradient(&mut self, point: &FitPoint) -> DVector<f64> {
         let mut cotangent = self.readings.residual(&point.read);
         self.readings.whiten(&mut cotangent);
         cotangent.iter_mut().for_each(|bar| *bar = -*bar);
@@ -332,7 +332,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Noise per channel: RMS of the residual, and its lower bound from the chips' noise and the integration error.
-    pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
+    pub fn noises(&self, point: &FitPoint) -> [Vec<f64>; 2] {
         let width = self.readings.width();
         let mut left = self.readings.residual(&point.read);
         left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.readings.noise[i % width]);
@@ -348,7 +348,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Sets the noise per channel to the residual's RMS, at least the lower bound. Returns the largest relative change.
-    pub fn weigh(&mut self, point: &Point) -> f64 {
+    pub fn weigh(&mut self, point: &FitPoint) -> f64 {
         let [left, least] = self.noises(point);
         let noise = left.iter().zip(&least).map(|(left, least)| left.max(*least));
         let noise: Vec<f64> = noise.map(|noise| if noise > 0.0 { noise } else { 1.0 }).collect();
@@ -369,7 +369,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Free parameters at a limit, with descent directed beyond it.
-    pub fn held(&self, point: &Point, gradient: &DVector<f64>) -> Vec<usize> {
+    pub fn held(&self, point: &FitPoint, gradient: &DVector<f64>) -> Vec<usize> {
         let is = |k: &usize| {
             point.z[*k].abs() >= self.unknowns.limit(*k) * (1.0 - 1e-12) && point.z[*k] * gradient[*k] < 0.0
         };
@@ -424,7 +424,7 @@ impl<'a> Objective<'a> {
     }
 
     /// RMS residual of accelerations and rotation rates over counted readings: in mm/s² and rad/s, and in % of the signals' RMS.
-    pub fn misfit(&self, point: &Point) -> [[f64; 2]; 2] {
+    pub fn misfit(&self, point: &FitPoint) -> [[f64; 2]; 2] {
         let (mut off, mut size, mut count) = ([0.0; 2], [0.0; 2], [0.0f64; 2]);
         let each = self.readings.recorded.iter().zip(&point.read).zip(&self.readings.seen).enumerate();
         for (i, ((y, a), _)) in each.filter(|(_, (_, seen))| **seen) {

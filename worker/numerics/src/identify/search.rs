@@ -2,10 +2,10 @@
 //! parameters are fitted first and alone, from other starts if the misfit becomes large. All other unknowns follow on whole records.
 
 use super::descent::{Descent, How};
-use super::objective::{Columns, Point};
+use super::objective::{Columns, FitPoint};
 use super::unknowns::TRUST;
 use super::{Ending, Fit, Parameter, UNEXPLAINED, Unknown, interval};
-use crate::dynamics::{Forces, Solver};
+use crate::dynamics::{Forces, IntegratorSettings};
 use nalgebra::DVector;
 
 /// Windows relative to the record, without free parameters.
@@ -32,7 +32,7 @@ const LAST: How = How { close: 0.1, ..WHOLE };
 
 impl Descent<'_> {
     /// Fits all windows in turn. Returns the final point with columns, `Some(None)` if a simulation fails, `None` if stopped.
-    pub fn by_windows(&mut self, ending: &mut Ending) -> Option<Option<(Point, Columns)>> {
+    pub fn by_windows(&mut self, ending: &mut Ending) -> Option<Option<(FitPoint, Columns)>> {
         let mut z = DVector::zeros(self.objective.unknowns.all().len());
         for part in WINDOWS {
             self.objective.look_at((part * self.objective.instants() as f64).ceil() as usize);
@@ -48,7 +48,7 @@ impl Descent<'_> {
     }
 
     /// Fits measured records under `forces`, with intervals.
-    pub fn fit(&mut self, fit: &mut Fit, forces: &Forces, asked: &Solver, as_scattered: bool) {
+    pub fn fit(&mut self, fit: &mut Fit, forces: &Forces, asked: &IntegratorSettings, as_scattered: bool) {
         let start = DVector::zeros(self.objective.unknowns.all().len());
         let Some(first) = self.whole(&start) else { return };
         fit.measured.misfit[0] = self.objective.misfit(&first)[1];
@@ -84,8 +84,8 @@ impl Descent<'_> {
         fit: &mut Fit,
         start: DVector<f64>,
         forces: &Forces,
-        asked: &Solver,
-    ) -> Option<(Point, Columns)> {
+        asked: &IntegratorSettings,
+    ) -> Option<(FitPoint, Columns)> {
         let all = start.len();
         self.objective.moves = self.objective.unknowns.free();
         let (mut best, mut farthest) = (start.clone(), (0, f64::INFINITY));
@@ -134,7 +134,7 @@ impl Descent<'_> {
         if self.objective.clock.is_some() { LOST_BY_CLOCKS } else { LOST }
     }
 
-    fn size(&self, point: &Point) -> f64 {
+    fn size(&self, point: &FitPoint) -> f64 {
         let [a, b] = self.objective.misfit(point)[1];
         a.hypot(b)
     }
@@ -165,7 +165,7 @@ impl Descent<'_> {
         others.into_iter().map(|other| other.1).collect()
     }
 
-    fn whole(&mut self, z: &DVector<f64>) -> Option<Point> {
+    fn whole(&mut self, z: &DVector<f64>) -> Option<FitPoint> {
         self.objective.look_at(self.objective.instants());
         self.objective.at(z.clone())
     }

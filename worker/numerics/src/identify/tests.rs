@@ -3,11 +3,12 @@
 use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
-use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Scene, Solver};
+use crate::dynamics::{Accuracy, EdgeContact, Integrator, IntegratorSettings, Panel, Parameters, Scene};
 use crate::nested::tests::{GOING, on_lattices, small};
 use crate::random::{Purpose, Stream};
 use crate::trial::{
-    BrainKind, Decoder, DesignWithSolver, Disturbance, Optimise, Protocol, Ridge, Size, Stimuli, Trial,
+    ChipErrors, Decoder, DecoderKind, DesignWithSolver, ForceSets, OuterLoop, PreparedTrial, RidgeChoice,
+    Size, TrainingProtocol,
 };
 use crate::variation::Casts;
 use nalgebra::DVector;
@@ -18,7 +19,7 @@ mod records;
 fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Problem {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
     let struck = layout.top_panels(2).expect("panels");
-    let small = small(Protocol::Joint(GOING));
+    let small = small(TrainingProtocol::Joint(GOING));
     Problem {
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
@@ -32,20 +33,20 @@ fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Prob
             layout,
             ..small.scene
         },
-        solver: Solver::new(Method::Auto, Accuracy(1e-3)),
-        stimuli: Stimuli { instants, samples, ..small.stimuli },
-        disturbance: Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE }),
-        variation: Some(Variation::USUAL),
-        decoder_kind: BrainKind::Linear,
-        decoder: Decoder { lags: Lags::whole(instants), ridge: Ridge::Auto },
-        optimise: Optimise { brain: BrainKind::Linear, coarse: None, ..small.optimise },
+        solver: IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3)),
+        stimuli: ForceSets { instants, samples, ..small.stimuli },
+        disturbance: Some(ChipErrors { noise: Size::Relative(0.03), ..ChipErrors::NONE }),
+        variation: Some(Deviations::USUAL),
+        decoder_kind: DecoderKind::Linear,
+        decoder: Decoder { lags: Lags::whole(instants), ridge: RidgeChoice::Auto },
+        optimise: OuterLoop { brain: DecoderKind::Linear, coarse: None, ..small.optimise },
         seed: 51,
         ..small
     }
 }
 
 /// Records of a cast under the first training forces, as the trial's chips return them.
-fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
+fn records(trial: &PreparedTrial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
     let forces = trial.problem.training_and_test()[0].select(&(0..count).collect::<Vec<_>>());
     let (solver, counters) = (&trial.problem.solver, &mut crate::trial::Counters::default());
     let design = &trial.problem.initial;
@@ -54,7 +55,7 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
     (forces, signals)
 }
 
-fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Fit {
+fn twin(trial: &PreparedTrial, forces: &Forces, signals: &[f64]) -> Fit {
     let (design, solver) = (&trial.problem.initial, &trial.problem.solver);
     let found = Fit::of(&DesignWithSolver { trial, design, solver }, (forces, signals), &mut || true);
     found.expect("told to go on")
@@ -93,10 +94,10 @@ fn a_twin_of_another_lattice_is_its_cast() {
 
 /// Fits `count` records. `most`: largest posterior standard deviation of the material, relative to the prior.
 fn check_a_twin(what: &str, mut problem: Problem, count: usize, most: f64) {
-    let usual = Variation::USUAL;
-    problem.variation = Some(Variation { gain: 0.02, misalignment: 0.02, ..usual });
+    let usual = Deviations::USUAL;
+    problem.variation = Some(Deviations { gain: 0.02, misalignment: 0.02, ..usual });
     let pool = crate::Pool::new(2).expect("threads");
-    let trial = Trial::new(&problem, &pool).expect("a body");
+    let trial = PreparedTrial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
     let (forces, signals) = records(&trial, &cast, count);
     let Fit { twin, estimates, ending, steps, .. } = twin(&trial, &forces, &signals);
@@ -133,18 +134,18 @@ fn the_gradient_of_a_twin_holds_in_every_unknown() {
 /// `range`: relative to each channel's RMS; `deviation`: of the clocks (s).
 fn check_the_gradient(range: f64, deviation: f64, free: &[Parameter]) {
     let mut problem = problem(3, 3, 24, 8);
-    problem.scene.contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    problem.scene.contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     problem.solver.accuracy = Accuracy(1e-6);
     problem.channels = vec![0, 2];
-    problem.disturbance = Some(Disturbance {
+    problem.disturbance = Some(ChipErrors {
         noise: Size::Relative(0.03),
         bias: Size::Relative(0.1),
         bandwidth: 60.0,
         delay: 2e-3,
-        ..Disturbance::NONE
+        ..ChipErrors::NONE
     });
-    let usual = Variation::USUAL;
-    let variation = Variation {
+    let usual = Deviations::USUAL;
+    let variation = Deviations {
         material: Parameters { contact: 0.1, ..usual.material },
         ligaments: [0.05; 3],
         units: 0.03,
@@ -156,16 +157,16 @@ fn check_the_gradient(range: f64, deviation: f64, free: &[Parameter]) {
     };
     problem.variation = Some(variation);
     let pool = crate::Pool::new(2).expect("threads");
-    let rms = Trial::new(&problem, &pool).expect("a body").scales.channels;
+    let rms = PreparedTrial::new(&problem, &pool).expect("a body").scales.channels;
     let chips = problem.disturbance.as_mut().expect("chips");
     chips.range = [range * rms[0], range * rms[1]];
-    let trial = Trial::new(&problem, &pool).expect("a body");
+    let trial = PreparedTrial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
     let (forces, signals) = records(&trial, &cast, 3);
     let unknowns = Unknowns::of_records(&problem.scene, &variation, free, &pool);
     let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
     let all = (&forces, &signals[..], deviation);
-    let mut objective = Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
+    let mut objective = Misfit::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
     objective.look_at(20);
     let mut draw = Stream::new(Purpose::Design, 1, [0, 0]);
     let count = objective.unknowns.all().len();
@@ -205,10 +206,10 @@ fn check_the_gradient(range: f64, deviation: f64, free: &[Parameter]) {
 fn what_records_do_not_tell_is_left_as_it_was() {
     let mut problem = problem(3, 3, 24, 12);
     problem.channels = vec![0, 1];
-    problem.variation = Some(Variation { nodes: 0.0, gain: 0.02, ..Variation::USUAL });
+    problem.variation = Some(Deviations { nodes: 0.0, gain: 0.02, ..Deviations::USUAL });
     let of = |threads: usize| {
         let pool = crate::Pool::new(threads).expect("threads");
-        let trial = Trial::new(&problem, &pool).expect("a body");
+        let trial = PreparedTrial::new(&problem, &pool).expect("a body");
         let cast = trial.cast(Casts::Unseen, 1).expect("a variation");
         let (forces, signals) = records(&trial, &cast, 6);
         twin(&trial, &forces, &signals)
@@ -220,7 +221,7 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     let told = one.estimates.iter().filter(|e| matches!(e.unknown, Unknown::Material(_)) && e.left < 0.5);
     assert!(told.count() > 0, "{:?}", one.estimates);
 
-    let forbidden = Contact { stiffness: 1.0, min_angle: 3.0, cutoff_angle: 3.1 };
+    let forbidden = EdgeContact { stiffness: 1.0, min_angle: 3.0, cutoff_angle: 3.1 };
     let scene = Scene { contact: Some(forbidden), ..problem.scene.clone() };
     let pool = crate::Pool::new(1).expect("threads");
     let (forces, signals) = (problem.training_and_test()[0].select(&[0]), vec![0.0; 2 * 24]);
@@ -235,18 +236,17 @@ fn what_records_do_not_tell_is_left_as_it_was() {
 fn a_metric_of_few_records_has_those_that_outweigh_the_others() {
     let problem = problem(3, 3, 24, 16);
     let pool = crate::Pool::new(2).expect("threads");
-    let trial = Trial::new(&problem, &pool).expect("a body");
+    let trial = PreparedTrial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
     let (mut forces, signals) = records(&trial, &cast, 12);
     for hard in [1, 6, 11] {
         let record = forces.values.len() / 12;
         let own = hard * record..(hard + 1) * record;
         forces.values[own.clone()].iter_mut().for_each(|f| *f *= 10.0);
-        let unknowns = Unknowns::new(&problem.scene, &Variation::USUAL, &pool);
+        let unknowns = Unknowns::new(&problem.scene, &Deviations::USUAL, &pool);
         let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
         let all = (&forces, &signals[..], 0.0);
-        let mut objective =
-            Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
+        let mut objective = Misfit::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
         let point = objective.at(DVector::zeros(objective.unknowns.all().len())).expect("a body that moves");
         let traces = [4, usize::MAX].map(|most| {
             let columns = objective.columns(&point, most);

@@ -3,7 +3,7 @@
 use crate::Pool;
 use crate::dynamics::{Gradient, Parameters, PartFactors, Scene};
 use crate::identify::{BOX, Parameter};
-use crate::variation::{Cast, Chips, Variation, correlate, shared_vjp};
+use crate::variation::{Cast, Chips, Deviations, correlate, shared_vjp};
 use std::ops::Range;
 
 /// Quantity that one entry of z changes.
@@ -42,7 +42,7 @@ const FREE_STRIDE: f64 = std::f64::consts::LN_2;
 
 /// Unknowns of a body with sensors, in this order: of the whole cast, chips, nodes, ligaments and units.
 pub struct Unknowns {
-    variation: Variation,
+    variation: Deviations,
     /// Number of free parameters; they come first.
     free: usize,
     likeness: Vec<f64>,
@@ -54,7 +54,7 @@ pub struct Unknowns {
 
 impl Unknowns {
     /// Unknowns of a cast.
-    pub fn new(scene: &Scene, variation: &Variation, pool: &Pool) -> Self {
+    pub fn new(scene: &Scene, variation: &Deviations, pool: &Pool) -> Self {
         let (layout, sensors) = (&scene.layout, scene.sensors.len());
         let own = Parameters::of(scene).array();
         let mut all = Vec::new();
@@ -86,10 +86,10 @@ impl Unknowns {
 
     /// Unknowns of a cast and of its records' forces. Parameters in `free` are fitted and the others held; if it is empty, all have the
     /// variation's prior.
-    pub fn of_records(scene: &Scene, variation: &Variation, free: &[Parameter], pool: &Pool) -> Self {
+    pub fn of_records(scene: &Scene, variation: &Deviations, free: &[Parameter], pool: &Pool) -> Self {
         let material = std::array::from_fn(|k| if free.contains(&Parameter::ALL[k]) { TRUST } else { 0.0 });
         let material = if free.is_empty() { variation.material } else { Parameters::from_array(material) };
-        let mut unknowns = Self::new(scene, &Variation { material, ..*variation }, pool);
+        let mut unknowns = Self::new(scene, &Deviations { material, ..*variation }, pool);
         let is_material = |unknown: &&Unknown| matches!(unknown, Unknown::Material(_));
         let first = unknowns.all.iter().filter(is_material).count();
         unknowns.all.insert(first, Unknown::Sharpness);

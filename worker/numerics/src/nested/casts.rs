@@ -12,7 +12,8 @@ use super::state::State;
 use crate::brains::{Band, Fitted, FittedDecoder, NetworkTraining, Pooled, Recipe, new_decoder};
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, Counters, Decoder, DesignWithSolver, Problem, Ridge, Samples, Trial, Trouble, as_ref_result,
+    Counters, Decoder, DecoderKind, DesignWithSolver, PreparedTrial, Problem, RidgeChoice, Samples, Trouble,
+    as_ref_result,
 };
 use crate::variation::{Cast, Casts};
 
@@ -59,7 +60,7 @@ pub(super) fn evaluate_casts(
     let some = as_ref_result(&fitting_samples[1]).map(|casts| thin_samples(casts, trial.train.samples));
     let readings = &state.comparison.bodies[turn].readings;
     let own = readings.first().filter(|reading| reading.lags == problem.decoder.lags);
-    let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == Ridge::Auto);
+    let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == RidgeChoice::Auto);
     let mut brains = log.timed(|s| &mut s.train, |_| CastDecoders::new(trial, &fitting_samples, ridge));
     if problem.decoder_kind.is_network() {
         brains.networks = networks(
@@ -88,7 +89,7 @@ pub(super) fn evaluate_casts(
             |s| &mut s.train,
             |report, go_on| {
                 let mut found = brains.read(trial, number as u32, &sets, bands);
-                if problem.decoder_kind == BrainKind::Inverse {
+                if problem.decoder_kind == DecoderKind::Inverse {
                     let (number, counters) = (number as u32, &mut report.counters);
                     let (readings, own) =
                         evaluate_inverse_on_cast(mould, &fitting_samples[0], number, &sets, counters, go_on)?;
@@ -119,7 +120,7 @@ fn thin_samples(casts: &Samples, training: usize) -> Samples {
 /// The first network of the comparison, and one with the same initial weights and iterations trained on casts; `None` if the
 /// observer stopped it.
 fn networks<'a>(
-    trial: &'a Trial<'a>,
+    trial: &'a PreparedTrial<'a>,
     known: [Result<&'a Samples, Trouble>; 2],
     (turn, ridge): (usize, Option<f64>),
     state: &mut State,
@@ -138,7 +139,7 @@ fn networks<'a>(
     let ready = [(nominal, ridge), (casts, None)].map(|(trained, ridge)| {
         let (known, weights) = trained?;
         let scales = [(); 2].map(|()| trial.scales.clone());
-        let ridge = ridge.map_or(recipe.decoder.ridge, Ridge::Given);
+        let ridge = ridge.map_or(recipe.decoder.ridge, RidgeChoice::Given);
         let recipe = Recipe { decoder: Decoder { ridge, ..recipe.decoder }, ..recipe };
         let mut reader = new_decoder(recipe, known, scales, trial.pool)?;
         *reader.training().expect("a network has weights") = Some(NetworkTraining::of(weights));
@@ -150,7 +151,7 @@ fn networks<'a>(
 /// Weights of a network trained on samples of casts, with the comparison's initial weights and iterations; `None` if the observer
 /// stopped it.
 fn weights_for(
-    trial: &Trial,
+    trial: &PreparedTrial,
     known: &Samples,
     state: &mut State,
     log: &mut Log,
@@ -180,7 +181,7 @@ pub enum DecoderForCasts {
 ///
 /// # Errors
 /// If these casts cannot be simulated, or fitting fails.
-pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<DecoderForCasts, Trouble> {
+pub fn brain_for_casts(trial: &PreparedTrial, design: &[f64]) -> Result<DecoderForCasts, Trouble> {
     let solver = &trial.tuned(design).solver;
     let casts = samples_of_casts(&DesignWithSolver { trial, design, solver }, &mut Counters::default());
     if !trial.problem.decoder_kind.is_network() {
@@ -194,7 +195,7 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<DecoderForCasts,
     let weights = weights_for(trial, &samples, &mut state, &mut Log::new(0, &mut observer));
     let weights = weights.expect("nobody says stop")?;
     Ok(match trial.problem.decoder_kind {
-        BrainKind::Stacked => {
+        DecoderKind::Stacked => {
             let Problem { decoder, seed, .. } = &trial.problem;
             let beneath = decoder.fitted(*seed, &samples, trial.scales.clone(), trial.pool)?;
             DecoderForCasts::Stacked(beneath, weights)
@@ -205,7 +206,7 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<DecoderForCasts,
 
 /// Evaluates linear and inverse decoders on the first `count` casts of a design. `progress` receives the number of finished casts.
 pub fn evaluate_linear_on_casts(
-    trial: &Trial,
+    trial: &PreparedTrial,
     design: &[f64],
     count: usize,
     progress: &mut dyn FnMut(usize),
@@ -219,7 +220,7 @@ pub fn evaluate_linear_on_casts(
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = sets(&mould, cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
-        if trial.problem.decoder_kind == BrainKind::Inverse {
+        if trial.problem.decoder_kind == DecoderKind::Inverse {
             let evaluated =
                 evaluate_inverse_on_cast(&mould, &known[0], number as u32, &sets, counters, &mut || true);
             found.extend(evaluated.expect("told to go on").0);
@@ -273,10 +274,10 @@ fn sets(
 
 impl CastDecoders<'_> {
     /// Fits the linear decoders. `ridge`: λ chosen earlier on the body as designed, if known.
-    fn new(trial: &Trial, known: &FittingSamples, ridge: Option<f64>) -> Self {
+    fn new(trial: &PreparedTrial, known: &FittingSamples, ridge: Option<f64>) -> Self {
         let nominal = as_ref_result(&known[0]).and_then(|known| match ridge {
             Some(ridge) => {
-                let decoder = Decoder { ridge: Ridge::Given(ridge), ..trial.problem.decoder };
+                let decoder = Decoder { ridge: RidgeChoice::Given(ridge), ..trial.problem.decoder };
                 decoder.fit(trial.problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
             }
             None => Fitted::of(trial, known),
@@ -293,7 +294,7 @@ impl CastDecoders<'_> {
     /// bands by the trial's kind of decoder.
     fn read(
         &mut self,
-        trial: &Trial,
+        trial: &PreparedTrial,
         cast: u32,
         sets: &Result<[Samples; 2], Trouble>,
         bands: &mut Vec<BandCoverage>,
@@ -304,9 +305,9 @@ impl CastDecoders<'_> {
         let records = self.records.iter().map(|&n| CastDecoder::Records(n as u32));
         let brains: Vec<CastDecoder> = brains.chain(records).collect();
         let own: &[CastDecoder] = match trial.problem.decoder_kind {
-            BrainKind::Linear => &[CastDecoder::Nominal, CastDecoder::Casts],
-            BrainKind::Network | BrainKind::Stacked => &[CastDecoder::Network, CastDecoder::NetworkCasts],
-            BrainKind::Inverse => &[],
+            DecoderKind::Linear => &[CastDecoder::Nominal, CastDecoder::Casts],
+            DecoderKind::Network | DecoderKind::Stacked => &[CastDecoder::Network, CastDecoder::NetworkCasts],
+            DecoderKind::Inverse => &[],
         };
         let designed: Vec<BandCoverage> = bands.iter().filter(|band| band.cast.is_none()).cloned().collect();
         brains
@@ -335,7 +336,7 @@ impl CastDecoders<'_> {
     /// Forces (N, T, K) in N from signals (N, T, 3M) of a cast with these training samples, and the decoder's regularisation.
     fn predict(
         &mut self,
-        trial: &Trial,
+        trial: &PreparedTrial,
         by: CastDecoder,
         train: &Samples,
         signals: &[f64],

@@ -9,7 +9,7 @@ use super::report::Report;
 use super::state::State;
 use super::under::under;
 use crate::dynamics;
-use crate::trial::{COARSE, DesignWithSolver, Problem, Trial};
+use crate::trial::{COARSE, DesignWithSolver, PreparedTrial, Problem};
 
 /// Separates the initial body's reason from the best body's.
 const BEST: &str = ". Best body: ";
@@ -23,7 +23,11 @@ pub fn keeps_error(solver: &str) -> [bool; 2] {
 }
 
 /// Compares the best body with the initial one, if requested; `None` if the observer stopped it.
-pub(super) fn compare(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
+pub(super) fn compare(
+    trial: &PreparedTrial,
+    mut state: State,
+    observer: &mut dyn Observe,
+) -> Option<Optimised> {
     let problem = &trial.problem;
     let initial = &problem.initial;
     // without test evaluations, the last body is the best
@@ -91,7 +95,7 @@ fn initial_and_best<T: Clone + Default>(problem: &Problem, mut found: Vec<T>) ->
 
 /// Trains fresh networks of the same initial weights on each design, until the observer stops it.
 pub fn evaluate_designs(
-    trial: &Trial,
+    trial: &PreparedTrial,
     designs: &[Vec<f64>],
     observer: &mut dyn Observe,
 ) -> Vec<BodyEvaluation> {

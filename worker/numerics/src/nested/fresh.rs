@@ -2,7 +2,7 @@
 
 use super::evaluation::{BandCoverage, BodyEvaluation, NetworkEvaluation};
 use super::inversion::evaluate_inverse;
-use super::observe::{Control, Log};
+use super::observe::{Log, LoopControl};
 use super::report::Report;
 use super::state::State;
 use crate::brains::{
@@ -11,7 +11,8 @@ use crate::brains::{
 };
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Trial, Trouble, as_ref_result, mean_error,
+    Counters, DecoderKind, DesignWithSolver, PreparedTrial, Problem, RidgeChoice, Samples, Trouble,
+    as_ref_result, mean_error,
 };
 use crate::variation::Casts;
 
@@ -51,7 +52,7 @@ pub(super) fn evaluate(
     let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
     let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, &mut report.counters));
     let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
-    let inverts = problem.decoder_kind == BrainKind::Inverse;
+    let inverts = problem.decoder_kind == DecoderKind::Inverse;
     let has_bands = !inverts && problem.tasks.trained.is_empty();
     let calibration = sets.as_ref().ok().filter(|_| first && has_bands).and_then(|sets| {
         let of = |report: &mut Report| band_calibration_samples(mould, &sets[2], &mut report.counters);
@@ -67,10 +68,10 @@ pub(super) fn evaluate(
                 |s| &mut s.train,
                 |_| {
                     body.readings = readings(trial, sets).unwrap_or_default();
-                    if matches!(problem.decoder_kind, BrainKind::Linear | BrainKind::Stacked)
+                    if matches!(problem.decoder_kind, DecoderKind::Linear | DecoderKind::Stacked)
                         && let Ok(own) = own_reading(trial, sets, &mut body.readings)
                     {
-                        recipe.decoder.ridge = Ridge::Given(own.ridge);
+                        recipe.decoder.ridge = RidgeChoice::Given(own.ridge);
                     }
                 },
             );
@@ -133,7 +134,7 @@ fn estimates(mould: &DesignWithSolver, sets: &[Samples; 3]) -> Result<Vec<TaskEs
 ///
 /// # Errors
 /// If the design cannot be simulated, or gives too few samples with force.
-pub fn estimate_tasks(trial: &Trial, design: &[f64]) -> Result<Vec<TaskEstimate>, Trouble> {
+pub fn estimate_tasks(trial: &PreparedTrial, design: &[f64]) -> Result<Vec<TaskEstimate>, Trouble> {
     let solver = &trial.tuned(design).solver;
     let mould = DesignWithSolver { trial, design, solver };
     estimates(&mould, &sets(&mould, &mut Counters::default())?)
@@ -143,7 +144,7 @@ pub fn estimate_tasks(trial: &Trial, design: &[f64]) -> Result<Vec<TaskEstimate>
 ///
 /// # Errors
 /// As [`estimate_tasks`].
-pub fn fit_readouts(trial: &Trial, design: &[f64]) -> Result<TaskReadouts, Trouble> {
+pub fn fit_readouts(trial: &PreparedTrial, design: &[f64]) -> Result<TaskReadouts, Trouble> {
     let solver = &trial.tuned(design).solver;
     let sets = sets(&DesignWithSolver { trial, design, solver }, &mut Counters::default())?;
     task_readouts(trial, &sets)
@@ -185,7 +186,7 @@ fn band_calibration_samples(
 /// Fits the given decoder, or resumes the one in training; `None` if the observer stopped it. With `calibration`, the first decoder
 /// of the last body gets prediction bands.
 pub(super) fn fit_and_evaluate(
-    trial: &Trial,
+    trial: &PreparedTrial,
     reader: &mut dyn FittedDecoder,
     sets: &[Samples; 3],
     calibration: Option<&Samples>,
@@ -197,10 +198,10 @@ pub(super) fn fit_and_evaluate(
         if let Some(training) = reader.training() {
             *training = state.comparison.training.take();
         }
-        let (start_seconds, mut control) = (log.seconds(), Control::Continue);
+        let (start_seconds, mut control) = (log.seconds(), LoopControl::Continue);
         let mut pauses = |iterations: usize| {
             control = log.progress(state.comparison.completed_fraction(iterations, &trial.problem));
-            control == Control::Stop || log.save_is_due()
+            control == LoopControl::Stop || log.save_is_due()
         };
         let outcome = reader.fit(number as u64, iterations, &sets[2], &mut pauses);
         log.report.seconds.train += log.seconds() - start_seconds;
@@ -209,7 +210,7 @@ pub(super) fn fit_and_evaluate(
         }
         state.comparison.training = reader.training().and_then(Option::take);
         log.save(state);
-        if control == Control::Stop {
+        if control == LoopControl::Stop {
             return None;
         }
     };

@@ -6,7 +6,9 @@
 //! Both runs use the same integrator and steps; Tsit5's absolute tolerance is scaled by ε as well. Nonlinear terms in s_lin are
 //! of order ε.
 
-use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate, touches};
+use crate::dynamics::{
+    Accuracy, Forces, IntegratorSettings, Outcome, Simulation, signal_error, simulate, touches,
+};
 use crate::random::Purpose;
 use crate::trial::{Counters, DesignWithSolver};
 
@@ -35,7 +37,8 @@ pub(super) fn nonlinear(mould: &DesignWithSolver, counters: &mut Counters) -> Op
         Forces { values, ..forces.clone() }
     };
     let [full, small] = [1.0, SMALL].map(|by| {
-        let solver = Solver { tolerance: solver.tolerance.map(|t| t.for_motion_scaled_by(by)), ..solver };
+        let solver =
+            IntegratorSettings { tolerance: solver.tolerance.map(|t| t.for_motion_scaled_by(by)), ..solver };
         simulate(scene, design, &scaled(by), &solver, false, trial.pool)
     });
     [&full, &small].iter().for_each(|run| counters.dynamics += run.counters);

@@ -11,16 +11,16 @@ pub trait Observe {
     fn seconds(&mut self) -> f64;
     /// Receives the completed fraction of the whole trial. After `Stop`, an outer step still finishes; training in the final
     /// comparison does not.
-    fn progress(&mut self, fraction: f64) -> Control;
+    fn progress(&mut self, fraction: f64) -> LoopControl;
     /// Receives a finished outer step and the state after it.
-    fn step(&mut self, report: &Report, state: &State) -> Control;
+    fn step(&mut self, report: &Report, state: &State) -> LoopControl;
     /// Receives the state during the final comparison, every few seconds and after `Stop`.
     fn save(&mut self, state: &State);
 }
 
 /// What the loop does next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Control {
+pub enum LoopControl {
     /// Continues.
     Continue,
     /// Stops.
@@ -36,12 +36,12 @@ impl Observe for NoObserver {
         0.0
     }
 
-    fn progress(&mut self, _: f64) -> Control {
-        Control::Continue
+    fn progress(&mut self, _: f64) -> LoopControl {
+        LoopControl::Continue
     }
 
-    fn step(&mut self, _: &Report, _: &State) -> Control {
-        Control::Continue
+    fn step(&mut self, _: &Report, _: &State) -> LoopControl {
+        LoopControl::Continue
     }
 
     fn save(&mut self, _: &State) {}
@@ -85,7 +85,7 @@ impl<'a> Log<'a> {
     ) -> T {
         let Self { report, observer, .. } = self;
         let start = observer.seconds();
-        let result = work(report, &mut || observer.progress(done) == Control::Continue);
+        let result = work(report, &mut || observer.progress(done) == LoopControl::Continue);
         *part(&mut report.seconds) += observer.seconds() - start;
         result
     }
@@ -94,7 +94,7 @@ impl<'a> Log<'a> {
         self.observer.seconds()
     }
 
-    pub(super) fn progress(&mut self, fraction: f64) -> Control {
+    pub(super) fn progress(&mut self, fraction: f64) -> LoopControl {
         self.observer.progress(fraction)
     }
 
@@ -112,9 +112,9 @@ impl<'a> Log<'a> {
     /// Reports the progress of the comparison; `None` if the observer stops it. The observer then has the state.
     pub(super) fn report_progress(&mut self, problem: &Problem, state: &mut State) -> Option<()> {
         let wanted = self.progress(state.comparison.completed_fraction(0, problem));
-        if wanted == Control::Stop || self.save_is_due() {
+        if wanted == LoopControl::Stop || self.save_is_due() {
             self.save(state);
         }
-        (wanted != Control::Stop).then_some(())
+        (wanted != LoopControl::Stop).then_some(())
     }
 }

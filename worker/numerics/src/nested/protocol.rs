@@ -14,11 +14,11 @@ use super::observe::Log;
 use super::state::{PastDesign, State};
 use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
-use crate::dynamics::{Forces, Solver};
+use crate::dynamics::{Forces, IntegratorSettings};
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, CastObjective, Counters, FAILED, ObjectiveDomain, Protocol, Response, Samples, StepTraining,
-    Terms, Trial, Trouble,
+    CastObjective, Counters, DecoderKind, FAILED, ObjectiveDomain, PreparedTrial, Response, Samples,
+    StepTraining, Terms, TrainingProtocol, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -37,7 +37,7 @@ pub(super) struct StepResult {
 
 /// The protocol of a trial, with data that a resumed loop computes again.
 pub(super) struct Session<'a> {
-    trial: &'a Trial<'a>,
+    trial: &'a PreparedTrial<'a>,
     learner: Box<dyn Learner + 'a>,
     /// Outer step and fresh samples of the recent bodies, newest last.
     recent: Vec<(u32, Samples)>,
@@ -46,7 +46,7 @@ pub(super) struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    pub(super) fn new(trial: &'a Trial<'a>) -> Self {
+    pub(super) fn new(trial: &'a PreparedTrial<'a>) -> Self {
         Self { trial, learner: learner(trial), recent: Vec::new(), first: [Vec::new(), Vec::new()] }
     }
 
@@ -62,9 +62,9 @@ impl<'a> Session<'a> {
         log: &mut Log,
     ) -> Result<StepResult, Trouble> {
         match self.trial.problem.optimise.protocol {
-            Protocol::Paper(terms) => self.paper(state, terms, log),
-            Protocol::Joint(going) => self.joint(state, going, log),
-            Protocol::Random(_) => self.candidate(state, log),
+            TrainingProtocol::Paper(terms) => self.paper(state, terms, log),
+            TrainingProtocol::Joint(going) => self.joint(state, going, log),
+            TrainingProtocol::Random(_) => self.candidate(state, log),
         }
     }
 
@@ -182,7 +182,7 @@ impl<'a> Session<'a> {
                 });
                 for (number, (part, loss)) in samples.iter().zip(losses.into_inner()).enumerate() {
                     // a linear decoder's loss is its cross-validated error
-                    let linear = loss.filter(|_| trial.problem.optimise.brain == BrainKind::Linear);
+                    let linear = loss.filter(|_| trial.problem.optimise.brain == DecoderKind::Linear);
                     let error = linear.or_else(|| learner.error(part)).unwrap_or(1.0);
                     (self.first[0][number], self.first[1][number]) = (error, loss.unwrap_or(error));
                 }
@@ -212,7 +212,7 @@ impl<'a> Session<'a> {
         state: &State,
         sets: [&Forces; 2],
         tapes: [bool; 2],
-        solver: Solver,
+        solver: IntegratorSettings,
         log: &mut Log,
     ) -> Result<[Response; 2], Trouble> {
         log.timed(
@@ -230,7 +230,7 @@ impl<'a> Session<'a> {
     }
 
     /// The integrator of outer steps of `joint`.
-    fn solver(&self) -> Solver {
+    fn solver(&self) -> IntegratorSettings {
         let problem = &self.trial.problem;
         problem.optimise.coarse.unwrap_or(problem.solver)
     }
@@ -311,7 +311,7 @@ impl<'a> Session<'a> {
             )?;
             return Ok(self.test_error(&test, log));
         };
-        let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
+        let TrainingProtocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
         let parts = (casting.over == ObjectiveDomain::Parts).then(|| problem.parts());
         let casts = if parts.is_some() { casting.casts } else { TEST_CASTS.min(trial.test.samples) };
         // the samples of one part of a mixture, or every `casts`-th sample

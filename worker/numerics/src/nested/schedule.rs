@@ -1,6 +1,6 @@
 //! Schedule of the outer loop: learning rates, test evaluations, and progress.
 
-use crate::trial::{Optimise, Problem, Protocol};
+use crate::trial::{OuterLoop, Problem, TrainingProtocol};
 
 /// Fractions of a loop after which a design search may stop a trial.
 pub const RUNGS: [f64; 2] = [1.0 / 9.0, 1.0 / 3.0];
@@ -26,12 +26,12 @@ pub fn evaluated_fraction(steps: u32) -> f64 {
     (0..steps).filter(|step| is_look(steps, *step)).count() as f64 / f64::from(steps.max(1))
 }
 
-impl Optimise {
+impl OuterLoop {
     /// Adam's rate on α in an outer step (mm): constant in protocol `paper`, else falling over the second half.
     pub(super) fn rate_of(&self, step: u32) -> f64 {
         let left = 1.0 - f64::from(step) / f64::from(self.iterations);
         match self.protocol {
-            Protocol::Paper(_) => self.rate,
+            TrainingProtocol::Paper(_) => self.rate,
             _ => self.rate * (2.0 * left + 0.05).min(1.0),
         }
     }
@@ -40,7 +40,7 @@ impl Optimise {
     /// ones would keep the steps small for long. Protocol `paper` does not scale them.
     pub(super) fn scaling(&self) -> (f64, bool) {
         match self.protocol {
-            Protocol::Paper(_) => (0.999, false),
+            TrainingProtocol::Paper(_) => (0.999, false),
             _ => (0.99, true),
         }
     }
@@ -105,9 +105,9 @@ impl Problem {
     /// Work of an outer step relative to a full training.
     fn step_share(&self) -> f64 {
         match self.optimise.protocol {
-            Protocol::Paper(_) => 1.0,
-            Protocol::Random(_) => 0.1,
-            Protocol::Joint(_) => 0.05,
+            TrainingProtocol::Paper(_) => 1.0,
+            TrainingProtocol::Random(_) => 0.1,
+            TrainingProtocol::Joint(_) => 0.05,
         }
     }
 }

@@ -1,12 +1,12 @@
 use super::*;
 use crate::brain::{self, Data, TrainOutcome, Workspace};
-use crate::dynamics::{Accuracy, Method, Solver};
-use crate::feasible::Feasible;
+use crate::dynamics::{Accuracy, Integrator, IntegratorSettings};
+use crate::feasible::FeasibleSet;
 use crate::random::{Purpose, Stream};
-use crate::stimuli::{Bell, Source};
+use crate::stimuli::{Bell, HistorySource};
 use crate::trial::{
-    BrainKind, Counters, Decoder, DesignWithSolver, Disturbance, Optimise, Problem, Protocol, Ridge, Scaling,
-    Schedule, Size, StepTraining, Stimuli, Terms, Trouble,
+    ChipErrors, Counters, Decoder, DecoderKind, DesignWithSolver, ForceSets, Normalisation, OuterLoop,
+    Problem, RateSchedule, RidgeChoice, Size, StepTraining, Terms, TrainingProtocol, Trouble,
 };
 
 mod casts;
@@ -18,8 +18,11 @@ mod tasks;
 
 pub(crate) use small::{GOING, on_lattices, small};
 
-const PROTOCOLS: [Protocol; 3] =
-    [Protocol::Paper(Terms::Implicit), Protocol::Joint(GOING), Protocol::Random(GOING)];
+const PROTOCOLS: [TrainingProtocol; 3] = [
+    TrainingProtocol::Paper(Terms::Implicit),
+    TrainingProtocol::Joint(GOING),
+    TrainingProtocol::Random(GOING),
+];
 
 /// Optimises the body of a problem, after the sensor search if there is one.
 fn optimise(
@@ -28,7 +31,7 @@ fn optimise(
     pool: &crate::Pool,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
-    super::optimise(&Trial::new(&crate::place::placed(problem, pool)?.0, pool)?, resume, observer)
+    super::optimise(&PreparedTrial::new(&crate::place::placed(problem, pool)?.0, pool)?, resume, observer)
 }
 
 /// A whole trial.
@@ -62,17 +65,17 @@ impl Observe for Keeper {
         self.reads += if self.clock_stands { 0.0 } else { 1.0 };
         self.reads
     }
-    fn progress(&mut self, fraction: f64) -> Control {
+    fn progress(&mut self, fraction: f64) -> LoopControl {
         self.fractions.push(fraction);
-        Control::Continue
+        LoopControl::Continue
     }
     fn save(&mut self, state: &State) {
         self.saved.push(state.clone());
     }
-    fn step(&mut self, report: &Report, state: &State) -> Control {
+    fn step(&mut self, report: &Report, state: &State) -> LoopControl {
         self.reports.push(report.clone());
         self.states.push(state.clone());
-        if Some(self.reports.len()) == self.stop_after { Control::Stop } else { Control::Continue }
+        if Some(self.reports.len()) == self.stop_after { LoopControl::Stop } else { LoopControl::Continue }
     }
 }
 
@@ -92,7 +95,7 @@ fn figures(body: &BodyEvaluation) -> Vec<u64> {
 #[test]
 fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
     let mut problem = small(PROTOCOLS[0]);
-    (problem.evaluation.schedule, problem.brain.iterations) = (Schedule::Constant, 12);
+    (problem.evaluation.schedule, problem.brain.iterations) = (RateSchedule::Constant, 12);
     let evaluated = |problem: &Problem| carried_out(problem, 1).initial.networks;
     let long = evaluated(&problem);
     problem.brain.iterations = 7;
@@ -142,7 +145,7 @@ fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
 /// bits and the same counts.
 #[test]
 fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
-    for reader in [BrainKind::Network, BrainKind::Linear, BrainKind::Stacked] {
+    for reader in [DecoderKind::Network, DecoderKind::Linear, DecoderKind::Stacked] {
         let mut problem = Problem { decoder_kind: reader, ..small(PROTOCOLS[2]) };
         (problem.optimise.iterations, problem.brain.iterations, problem.evaluation.long) = (2, 4, Some(6));
         quicken(&mut problem);
@@ -155,10 +158,10 @@ fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
         assert_eq!(keeper.saved, [], "{reader:?}");
         let (in_pieces, keeper) = run(None, 1, false);
         assert_eq!(in_pieces, whole, "{reader:?}");
-        let least = if reader == BrainKind::Linear { 1 } else { 2 * 2 * (4 + 6) / 3 };
+        let least = if reader == DecoderKind::Linear { 1 } else { 2 * 2 * (4 + 6) / 3 };
         assert!(keeper.saved.len() >= least, "{reader:?}: saved {} times", keeper.saved.len());
         let within = keeper.saved.iter().filter(|state| state.comparison.training.is_some()).count();
-        assert!(reader == BrainKind::Linear || within > 6, "{reader:?}: {within} within a training");
+        assert!(reader == DecoderKind::Linear || within > 6, "{reader:?}: {within} within a training");
         // every third state within a training
         let every = |(n, state): &(usize, State)| n % 3 == 0 || state.comparison.training.is_none();
         for (n, state) in keeper.saved.into_iter().enumerate().filter(every) {
@@ -213,7 +216,7 @@ fn troubles_are_known_by_their_names() {
 /// Another held-out set changes only the held-out errors.
 #[test]
 fn the_holdout_steers_nothing() {
-    let mut problem = small(Protocol::Paper(Terms::Direct));
+    let mut problem = small(TrainingProtocol::Paper(Terms::Direct));
     let mut keepers = [Keeper::default(), Keeper::default()];
     let mut results = Vec::new();
     for (holdout, keeper) in [4, 7].into_iter().zip(&mut keepers) {
@@ -229,10 +232,10 @@ fn the_holdout_steers_nothing() {
 /// All bodies get networks of the same initial weights, one set per seed. Without outer steps the one body is evaluated once.
 #[test]
 fn bodies_are_compared_with_the_same_networks() {
-    let mut problem = small(Protocol::Paper(Terms::Direct));
+    let mut problem = small(TrainingProtocol::Paper(Terms::Direct));
     problem.optimise.iterations = 0;
     let pool = pool(1);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let twice = vec![problem.initial.clone(); 2];
     let [first, second] = evaluate_designs(&trial, &twice, &mut Keeper::default()).try_into().unwrap();
     assert_eq!(first, second);
@@ -248,20 +251,20 @@ fn bodies_are_compared_with_the_same_networks() {
 /// The evaluation of a body depends neither on the trial's initial body nor on its signal scale.
 #[test]
 fn a_body_is_read_on_its_own_scale() {
-    let begun_with = small(Protocol::Joint(GOING));
+    let begun_with = small(TrainingProtocol::Joint(GOING));
     let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
     let other: Vec<f64> = begun_with.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
-    for reader in [BrainKind::Network, BrainKind::Stacked] {
+    for reader in [DecoderKind::Network, DecoderKind::Stacked] {
         let mine = Problem { decoder_kind: reader, ..begun_with.clone() };
         let its_own = Problem { initial: other.clone(), ..mine.clone() };
         let [here, there] = [&mine, &its_own].map(|problem| {
             let pool = pool(1);
-            let trial = Trial::new(problem, &pool).unwrap();
+            let trial = PreparedTrial::new(problem, &pool).unwrap();
             evaluate_designs(&trial, std::slice::from_ref(&other), &mut Keeper::default()).remove(0)
         });
         assert_ne!(here.networks[0].weights, there.networks[0].weights);
         // a stacked network also uses linear estimates, whose λ depends on the trial's scale
-        if reader == BrainKind::Network {
+        if reader == DecoderKind::Network {
             assert_eq!(figures(&here), figures(&there));
         }
     }
@@ -270,7 +273,7 @@ fn a_body_is_read_on_its_own_scale() {
 /// There are as many long trainings as ordinary ones, from the same initial weights; the ordinary ones do not change.
 #[test]
 fn long_trainings_stand_beside_the_ordinary_ones() {
-    let mut problem = small(Protocol::Paper(Terms::Direct));
+    let mut problem = small(TrainingProtocol::Paper(Terms::Direct));
     problem.optimise.iterations = 0;
     let plain = carried_out(&problem, 1);
     problem.evaluation.long = Some(70);
@@ -290,7 +293,7 @@ fn long_trainings_stand_beside_the_ordinary_ones() {
 /// In every step, kept units have the nodes of the initial design; others move.
 #[test]
 fn kept_units_keep_their_shape() {
-    let problem = Problem { kept: vec![9, 10], ..small(Protocol::Paper(Terms::Direct)) };
+    let problem = Problem { kept: vec![9, 10], ..small(TrainingProtocol::Paper(Terms::Direct)) };
     let mut keeper = Keeper::default();
     optimise(&problem, None, &pool(1), &mut keeper).unwrap().unwrap();
     let layout = &problem.scene.layout;
@@ -303,7 +306,7 @@ fn kept_units_keep_their_shape() {
 #[test]
 fn tied_shifts_stay_tied_and_castable() {
     let squares = PROTOCOLS.map(|protocol| (format!("{protocol:?}"), small(protocol)));
-    let others = on_lattices(&small(Protocol::Joint(GOING)));
+    let others = on_lattices(&small(TrainingProtocol::Joint(GOING)));
     for (what, problem) in squares.into_iter().chain(others) {
         let (protocol, last) = (problem.optimise.protocol, problem.scene.panels[0].unit);
         let other = (0..last).rev().find(|unit| !problem.scene.clamped.contains(unit)).expect("a unit");
@@ -315,7 +318,7 @@ fn tied_shifts_stay_tied_and_castable() {
         let mut keeper = Keeper::default();
         optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
         let (freedom, layout) = (problem.body.freedom(&problem), &problem.scene.layout);
-        let limits = Feasible::new(layout, problem.limits, &[]);
+        let limits = FeasibleSet::new(layout, problem.limits, &[]);
         let mut projected = 0;
         for (state, report) in keeper.states.iter().zip(&keeper.reports) {
             let design = &state.design;
@@ -334,10 +337,10 @@ fn tied_shifts_stay_tied_and_castable() {
 /// A search evaluates the initial body, then its candidates, and keeps the best.
 #[test]
 fn a_search_keeps_the_best_of_its_candidates() {
-    let protocol = Protocol::Random(GOING);
+    let protocol = TrainingProtocol::Random(GOING);
     let mut problem = small(protocol);
     (problem.optimise.iterations, problem.optimise.brain, problem.decoder_kind) =
-        (25, BrainKind::Linear, BrainKind::Linear);
+        (25, DecoderKind::Linear, DecoderKind::Linear);
     problem.optimise.rate = 1.0;
     let mut keeper = Keeper::default();
     let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
@@ -355,13 +358,13 @@ fn a_search_keeps_the_best_of_its_candidates() {
 
 #[test]
 fn the_direct_term_is_the_derivative_of_the_test_loss_at_fixed_weights() {
-    check_the_direct_term(None, small(Protocol::Paper(Terms::Direct)));
+    check_the_direct_term(None, small(TrainingProtocol::Paper(Terms::Direct)));
 }
 
 /// The same along z, with tied and frozen shifts.
 #[test]
 fn the_direct_term_holds_where_shifts_are_tied() {
-    let plain = small(Protocol::Paper(Terms::Direct));
+    let plain = small(TrainingProtocol::Paper(Terms::Direct));
     check_the_direct_term(None, Problem { tie: [2, 2], frozen: vec![6], ..plain });
 }
 
@@ -369,25 +372,25 @@ fn the_direct_term_holds_where_shifts_are_tied() {
 #[test]
 fn the_direct_term_holds_through_disturbed_sensors() {
     let (noise, bias) = (Size::Relative(0.05), Size::Physical([10.0, 0.1]));
-    let disturbance = Disturbance { noise, bias, delay: 0.0123, ..Disturbance::NONE };
-    check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
+    let disturbance = ChipErrors { noise, bias, delay: 0.0123, ..ChipErrors::NONE };
+    check_the_direct_term(Some(disturbance), small(TrainingProtocol::Paper(Terms::Direct)));
 }
 
 /// The same with extremes of the initial body's training samples as scales.
 #[test]
 fn the_direct_term_holds_at_scales_by_extremes() {
-    let mut problem = small(Protocol::Paper(Terms::Direct));
-    problem.brain.scaling = Scaling::Extremes;
+    let mut problem = small(TrainingProtocol::Paper(Terms::Direct));
+    problem.brain.scaling = Normalisation::Extremes;
     check_the_direct_term(None, problem);
 }
 
 /// Signals of the initial body span [−1, 1] and forces [0, 1]. The comparison uses these scales for every body.
 #[test]
 fn scales_by_extremes_serve_every_body() {
-    let mut problem = small(Protocol::Joint(GOING));
-    problem.brain.scaling = Scaling::Extremes;
+    let mut problem = small(TrainingProtocol::Joint(GOING));
+    problem.brain.scaling = Normalisation::Extremes;
     let pool = pool(1);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let scales = &trial.network_scales;
     let within = |values: Vec<f64>, width: usize, ends: [f64; 2]| {
         for column in 0..width {
@@ -406,8 +409,8 @@ fn scales_by_extremes_serve_every_body() {
 #[test]
 fn the_direct_term_holds_behind_a_low_pass() {
     for (bandwidth, delay) in [(60.0, 0.0), (90.0, 0.0041)] {
-        let disturbance = Disturbance { bandwidth, delay, ..Disturbance::NONE };
-        check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
+        let disturbance = ChipErrors { bandwidth, delay, ..ChipErrors::NONE };
+        check_the_direct_term(Some(disturbance), small(TrainingProtocol::Paper(Terms::Direct)));
     }
 }
 
@@ -416,8 +419,8 @@ fn the_direct_term_holds_behind_a_low_pass() {
 fn the_direct_term_holds_through_some_channels() {
     let noise = Size::Relative(0.05);
     for channels in [vec![0, 1], vec![2]] {
-        let disturbance = Disturbance { noise, delay: 0.0123, ..Disturbance::NONE };
-        let problem = Problem { channels, ..small(Protocol::Paper(Terms::Direct)) };
+        let disturbance = ChipErrors { noise, delay: 0.0123, ..ChipErrors::NONE };
+        let problem = Problem { channels, ..small(TrainingProtocol::Paper(Terms::Direct)) };
         check_the_direct_term(Some(disturbance), problem);
     }
 }
@@ -425,36 +428,36 @@ fn the_direct_term_holds_through_some_channels() {
 /// The same with signals that often exceed the sensors' range; these readings have no gradient.
 #[test]
 fn the_direct_term_holds_where_sensors_saturate() {
-    let plain = small(Protocol::Paper(Terms::Direct));
+    let plain = small(TrainingProtocol::Paper(Terms::Direct));
     let pool = pool(1);
-    let trial = Trial::new(&plain, &pool).unwrap();
+    let trial = PreparedTrial::new(&plain, &pool).unwrap();
     let range = [trial.scales.channels[0], trial.scales.channels[2]];
     let beyond = |(i, x): (usize, &f64)| x.abs() > range[usize::from(i % 3 == 2)];
     assert!(trial.initial.signals.iter().enumerate().filter(|&(i, x)| beyond((i, x))).count() > 10);
-    let disturbance = Disturbance { range, ..Disturbance::NONE };
-    check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
+    let disturbance = ChipErrors { range, ..ChipErrors::NONE };
+    check_the_direct_term(Some(disturbance), small(TrainingProtocol::Paper(Terms::Direct)));
 }
 
 /// A range below most signals, as from m/s² instead of mm/s², is an error before training; a range above most signals is not.
 #[test]
 fn a_range_below_the_signals_is_named() {
-    let (plain, pool) = (small(Protocol::Paper(Terms::Direct)), pool(1));
+    let (plain, pool) = (small(TrainingProtocol::Paper(Terms::Direct)), pool(1));
     let with = |part: f64| {
-        let trial = Trial::new(&plain, &pool).unwrap();
+        let trial = PreparedTrial::new(&plain, &pool).unwrap();
         let range = [0, 2].map(|c: usize| part * trial.scales.channels[c]);
-        let disturbance = Some(Disturbance { range, ..Disturbance::NONE });
-        Trial::new(&Problem { disturbance, ..plain.clone() }, &pool).map(|_| ())
+        let disturbance = Some(ChipErrors { range, ..ChipErrors::NONE });
+        PreparedTrial::new(&Problem { disturbance, ..plain.clone() }, &pool).map(|_| ())
     };
     assert_eq!(with(1e-3), Err(Failure::Initial(Trouble::Saturated)));
     assert_eq!(with(1.0), Ok(()));
 }
 
 /// Compares the gradient with central differences of L_test(α + εδ) (N²) at fixed weights, along a random direction.
-fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
+fn check_the_direct_term(disturbance: Option<ChipErrors>, problem: Problem) {
     let mut problem = Problem { disturbance, ..problem };
     problem.solver.accuracy = Accuracy(1e-10);
     let pool = pool(2);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let shape = problem.shape();
     let weights: Vec<f64> =
         brain::initial_weights(shape, 1, 0).into_iter().map(|w| f64::from(w as f32)).collect();
@@ -494,7 +497,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
 /// With an extreme learning rate, training fails on the initial body, which has no predecessor.
 #[test]
 fn a_training_that_diverges_on_the_initial_body_is_named() {
-    let mut problem = small(Protocol::Paper(Terms::Direct));
+    let mut problem = small(TrainingProtocol::Paper(Terms::Direct));
     problem.brain.rate = 1e4;
     let failure = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
     let Failure::Initial(Trouble::Training(outcome)) = failure else { panic!("{failure:?}") };
@@ -504,7 +507,7 @@ fn a_training_that_diverges_on_the_initial_body_is_named() {
 /// A failed step restores the previous design and halves the rate; too many failures in a row end the trial.
 #[test]
 fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
-    let problem = small(Protocol::Paper(Terms::Direct));
+    let problem = small(TrainingProtocol::Paper(Terms::Direct));
     let mut state = State::new(&problem);
     state.recent_designs = vec![PastDesign { step: 0, design: vec![7.0; state.design.len()] }];
     let mut keeper = Keeper::default();
@@ -524,8 +527,8 @@ fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
 #[test]
 fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     let problem = Problem {
-        optimise: Optimise { iterations: 5, ..small(Protocol::Joint(GOING)).optimise },
-        ..small(Protocol::Joint(GOING))
+        optimise: OuterLoop { iterations: 5, ..small(TrainingProtocol::Joint(GOING)).optimise },
+        ..small(TrainingProtocol::Joint(GOING))
     };
     let mut keeper = Keeper { stop_after: Some(2), ..Keeper::default() };
     optimise(&problem, None, &pool(1), &mut keeper).unwrap();
@@ -557,7 +560,7 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
 /// resumption too.
 #[test]
 fn a_search_s_yardstick_does_not_move() {
-    let protocol = Protocol::Random(GOING);
+    let protocol = TrainingProtocol::Random(GOING);
     let mut problem = small(protocol);
     problem.optimise.iterations = 20;
     let mut keeper = Keeper { stop_after: Some(12), ..Keeper::default() };

@@ -8,7 +8,7 @@ use crate::brain::linear::Sizes;
 use crate::brains::ScaledSamples;
 use crate::brains::ridge::assign_folds;
 use crate::dynamics::Scene;
-use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
+use crate::trial::{Counters, Failure, OuterLoop, Placing, PreparedTrial, Problem, Trouble};
 
 /// Number of candidates, spread over all, that test whether energies help.
 const JUDGES: usize = 4;
@@ -40,8 +40,8 @@ impl Candidates {
         let units = search.candidates.clone();
         // Without chip masses, which on all candidates would change the body.
         let scene = Scene { sensors: units.clone(), chip: None, ..problem.scene.clone() };
-        let optimise = Optimise { coarse: None, ..problem.optimise };
-        let trial = Trial::new(&Problem { scene, search: None, optimise, ..problem.clone() }, pool)?;
+        let optimise = OuterLoop { coarse: None, ..problem.optimise };
+        let trial = PreparedTrial::new(&Problem { scene, search: None, optimise, ..problem.clone() }, pool)?;
         let heard = if design == problem.initial {
             trial.initial.clone()
         } else {

@@ -14,7 +14,7 @@ use crate::dynamics::{Forces, Panel, Strike};
 use crate::random::{Purpose, Stream};
 pub use irregular::{Irregular, irregular};
 use recorded::mirrored_low_pass;
-pub use recorded::{REACH, RecordSplit, Recorded, anti_aliased, anti_aliased_force, resample};
+pub use recorded::{REACH, RecordSplit, RecordedForces, anti_aliased, anti_aliased_force, resample};
 
 /// Intervals `[min, max]` of the uniform distributions of a bell pulse's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,7 +65,7 @@ pub struct Gauss {
 
 /// Source of force histories.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Source {
+pub enum HistorySource {
     /// Bell pulses on every panel.
     Bell(Bell),
     /// Gaussian pulses on every panel.
@@ -73,18 +73,18 @@ pub enum Source {
     /// Hammer blows on one panel.
     Irregular(Irregular),
     /// Records.
-    Recorded(Recorded),
+    Recorded(RecordedForces),
     /// Each sample from one of these sources, drawn by their weights, which sum to 1.
-    Mix(Vec<(f64, Source)>),
+    Mix(Vec<(f64, HistorySource)>),
     /// Another source, with random deviations of point and direction.
-    Struck(StrikeScatter, Box<Source>),
+    Struck(StrikeScatter, Box<HistorySource>),
     /// Another source, with each panel silent with this probability.
-    Silent(f64, Box<Source>),
+    Silent(f64, Box<HistorySource>),
     /// The first panel's history of another source, at a random point of the line through the panels: see [`point`].
-    Anywhere(Box<Source>),
+    Anywhere(Box<HistorySource>),
 }
 
-impl Source {
+impl HistorySource {
     /// The sources of a mixture, or this source.
     pub fn parts(&self) -> Vec<&Self> {
         match self {

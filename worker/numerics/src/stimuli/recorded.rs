@@ -16,7 +16,7 @@ use crate::random::{Purpose, Stream};
 /// A seeded shuffle deals them to training and test set, then to the held-out set. Fresh samples are training records times a
 /// factor, shifted by whole instants.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Recorded {
+pub struct RecordedForces {
     /// Histories: of all panels, or of one panel that `struck` or a random draw determines.
     pub histories: Arc<Forces>,
     /// Panel that each record strikes, for records of one history.
@@ -42,7 +42,7 @@ pub struct RecordSplit {
     pub replacement: bool,
 }
 
-impl Recorded {
+impl RecordedForces {
     /// `count` samples of a purpose, from number `first`.
     ///
     /// # Panics

@@ -144,7 +144,7 @@ fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
         history[20] = 1.0 + i as f64;
     }
     let histories = Forces { samples: records, panels: 1, instants, values, strikes: Vec::new() };
-    let source = Recorded {
+    let source = RecordedForces {
         histories: std::sync::Arc::new(histories),
         struck: None,
         scale: [0.9, 1.1],

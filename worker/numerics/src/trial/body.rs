@@ -10,20 +10,27 @@ use super::Problem;
 use crate::Pool;
 use crate::body::Freedom;
 use crate::dynamics::{
-    self, Counters, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, planned, tune,
+    self, Forces, IntegratorSettings, Outcome, Scene, Simulation, SimulationCounts, Tuned, Wrt, planned, tune,
 };
 use crate::feasible::Castable;
 
 /// A differentiable body.
-pub trait Body: std::fmt::Debug + Send + Sync {
+pub trait BodyModel: std::fmt::Debug + Send + Sync {
     /// Channels of each sensor, at most 3.
     fn channels(&self) -> usize;
 
     /// Tunes the integrator to the tolerance on a design, with a few samples.
-    fn pilot(&self, scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &Pool) -> Pilot;
+    fn pilot(
+        &self,
+        scene: &Scene,
+        design: &[f64],
+        forces: &Forces,
+        solver: &IntegratorSettings,
+        pool: &Pool,
+    ) -> Pilot;
 
     /// Simulates a design.
-    fn simulate(&self, scene: &Scene, run: &Run, pool: &Pool) -> Motion;
+    fn simulate(&self, scene: &Scene, run: &SimulationInput, pool: &Pool) -> SimulationOutput;
 
     /// Which numbers of a design are free, fixed or tied.
     fn freedom(&self, problem: &Problem) -> Freedom;
@@ -37,20 +44,20 @@ pub trait Body: std::fmt::Debug + Send + Sync {
     }
 
     /// The failure of the body's process, if any; results are then invalid.
-    fn failure(&self) -> Option<Fault> {
+    fn failure(&self) -> Option<BodyFailure> {
         None
     }
 }
 
 /// Input of a simulation.
 #[derive(Debug, Clone, Copy)]
-pub struct Run<'a> {
+pub struct SimulationInput<'a> {
     /// α, the design.
     pub design: &'a [f64],
     /// Forces; their clock is an integer multiple of the scene's.
     pub forces: &'a Forces,
     /// Solver tuned by a pilot.
-    pub solver: &'a Solver,
+    pub solver: &'a IntegratorSettings,
     /// Whether a gradient follows.
     pub keep_tape: bool,
     /// Whether to compute in f64, because f32 rounding would disturb the result.
@@ -58,39 +65,39 @@ pub struct Run<'a> {
 }
 
 /// Result of a simulation.
-pub struct Motion {
+pub struct SimulationOutput {
     /// (N, T, M·channels); mm/s² and rad/s for polygons; zero for failed samples.
     pub signals: Vec<f64>,
     /// How each sample ended.
     pub outcomes: Vec<Outcome>,
     /// Work of the simulation.
-    pub counters: Counters,
+    pub counters: SimulationCounts,
     /// Tape for gradients, if requested.
-    pub tape: Box<dyn Tape>,
+    pub tape: Box<dyn BodyTape>,
 }
 
 /// Record of a simulation, for its gradient.
-pub trait Tape: Send + Sync {
+pub trait BodyTape: Send + Sync {
     /// dL/dα from a cotangent on the signals (N, T, M·channels), and the work. Failed samples contribute nothing.
-    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, Counters);
+    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, SimulationCounts);
 }
 
 /// Result of a pilot.
 #[derive(Debug, Clone)]
 pub struct Pilot {
     /// The tuned solver.
-    pub solver: Solver,
+    pub solver: IntegratorSettings,
     /// Why the solver was chosen, as text.
     pub reason: String,
     /// Relative error of the pilot's signals, if measured.
     pub error: Option<f64>,
     /// Work of the pilot.
-    pub counters: Counters,
+    pub counters: SimulationCounts,
 }
 
 /// Failure of a body's process.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fault {
+pub struct BodyFailure {
     /// Name in records.
     pub name: &'static str,
     /// Command, cause, and what the process printed.
@@ -99,24 +106,31 @@ pub struct Fault {
 
 /// The polygons and ligaments of a scene.
 #[derive(Debug)]
-pub struct Polygons;
+pub struct ScenePolygons;
 
-impl Body for Polygons {
+impl BodyModel for ScenePolygons {
     fn channels(&self) -> usize {
         3
     }
 
-    fn pilot(&self, scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &Pool) -> Pilot {
+    fn pilot(
+        &self,
+        scene: &Scene,
+        design: &[f64],
+        forces: &Forces,
+        solver: &IntegratorSettings,
+        pool: &Pool,
+    ) -> Pilot {
         let Tuned { solver, plan, error, counters } = tune(scene, design, forces, solver, pool);
         Pilot { solver, reason: plan.reason, error, counters }
     }
 
-    fn simulate(&self, scene: &Scene, run: &Run, pool: &Pool) -> Motion {
-        let Run { design, forces, solver, keep_tape, double } = *run;
+    fn simulate(&self, scene: &Scene, run: &SimulationInput, pool: &Pool) -> SimulationOutput {
+        let SimulationInput { design, forces, solver, keep_tape, double } = *run;
         let plan = planned(scene, design, forces, solver);
         let plan = if double { plan.double() } else { plan };
         let mut simulation = dynamics::run(scene, design, forces, &plan, keep_tape, pool);
-        Motion {
+        SimulationOutput {
             signals: std::mem::take(&mut simulation.signals),
             outcomes: simulation.outcomes.clone(),
             counters: simulation.counters,
@@ -133,8 +147,8 @@ impl Body for Polygons {
     }
 }
 
-impl Tape for Simulation {
-    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, Counters) {
+impl BodyTape for Simulation {
+    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, SimulationCounts) {
         let gradient = Simulation::vjp(self, cotangent, Wrt::Design, pool);
         (gradient.design, gradient.counters)
     }

@@ -11,7 +11,7 @@ use crate::random::{Purpose, Stream};
 
 /// Imperfections of a chip.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Disturbance {
+pub struct ChipErrors {
     /// Standard deviation of e.
     pub noise: Size,
     /// Standard deviation of b.
@@ -26,7 +26,7 @@ pub struct Disturbance {
     pub resolution: [f64; 2],
 }
 
-impl Disturbance {
+impl ChipErrors {
     /// An ideal chip.
     pub const NONE: Self = Self {
         noise: Size::Relative(0.0),
@@ -76,7 +76,7 @@ pub struct Chip {
 
 impl Chip {
     /// `rms`: RMS of each measured channel.
-    pub(crate) fn new(disturbance: &Disturbance, seed: u64, rms: &[f64], channels: &[usize]) -> Self {
+    pub(crate) fn new(disturbance: &ChipErrors, seed: u64, rms: &[f64], channels: &[usize]) -> Self {
         Self {
             seed,
             channels: channels.to_vec(),
@@ -122,7 +122,7 @@ impl Chip {
 
     /// Rounds readings (T, channels) to whole steps and limits them to the range.
     fn read(&self, sample: &mut [f64]) {
-        if (self.range, self.resolution) == (Disturbance::NONE.range, Disturbance::NONE.resolution) {
+        if (self.range, self.resolution) == (ChipErrors::NONE.range, ChipErrors::NONE.resolution) {
             return;
         }
         for (i, reading) in sample.iter_mut().enumerate() {
@@ -152,7 +152,7 @@ impl Chip {
     /// Turns a cotangent (N, T, channels) on the readings `says` into one on the undisturbed signals: 0 at the limit of the range.
     /// Rounding is ignored.
     pub fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64]) {
-        if self.range != Disturbance::NONE.range {
+        if self.range != ChipErrors::NONE.range {
             for (i, (cotangent, reading)) in cotangent.iter_mut().zip(says).enumerate() {
                 if self.is_at_the_end(i, *reading) {
                     *cotangent = 0.0;

@@ -6,7 +6,7 @@
 //! Exact for signals that are linear between instants of this clock and zero before the first. The delay interpolates with a cubic
 //! through the last four instants. Both are causal.
 
-use super::Disturbance;
+use super::ChipErrors;
 use faer::c64;
 use std::f64::consts::TAU;
 
@@ -33,7 +33,7 @@ struct LowPass {
     g: [[f64; 2]; 2],
 }
 
-impl Disturbance {
+impl ChipErrors {
     /// Instants per reading at which the body's motion is computed; `interval` is the time between two readings (s).
     pub fn clock(&self, interval: f64) -> usize {
         if self.delay == 0.0 && self.bandwidth.is_infinite() {
@@ -124,7 +124,7 @@ impl LowPass {
 
 impl Filter {
     /// `interval` is the time between two readings (s).
-    pub(crate) fn new(disturbance: &Disturbance, interval: f64) -> Self {
+    pub(crate) fn new(disturbance: &ChipErrors, interval: f64) -> Self {
         let clock = disturbance.clock(interval);
         let step = interval / clock as f64;
         let late = disturbance.delay / step;

@@ -15,23 +15,23 @@ mod samples;
 mod scales;
 mod settings;
 
-pub use body::{Body, Fault, Motion, Pilot, Polygons, Run, Tape};
-pub use chip::{Chip, Disturbance, Size};
+pub use body::{BodyFailure, BodyModel, BodyTape, Pilot, ScenePolygons, SimulationInput, SimulationOutput};
+pub use chip::{Chip, ChipErrors, Size};
 pub(crate) use mould::DesignWithSolver;
 pub(crate) use outcome::as_ref_result;
 pub use outcome::{Counters, Failure, Trouble};
-pub use problem::{Placing, Problem, Stimuli};
+pub use problem::{ForceSets, Placing, Problem};
 pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub use scales::Scales;
 pub use settings::{
-    BrainKind, CastObjective, Decoder, Evaluation, ObjectiveDomain, Optimise, Protocol, Ridge, Scaling,
-    Schedule, StepTraining, Terms, Training,
+    CastObjective, Decoder, DecoderKind, FinalComparison, Normalisation, ObjectiveDomain, OuterLoop,
+    RateSchedule, RidgeChoice, StepTraining, Terms, Training, TrainingProtocol,
 };
 
-use crate::dynamics::{self, Forces, Outcome, Scene, Solver};
+use crate::dynamics::{self, Forces, IntegratorSettings, Outcome, Scene};
 use crate::random::Purpose;
-use crate::stimuli::Source;
+use crate::stimuli::HistorySource;
 use crate::variation::{Cast, Casts, Chips};
 use rayon::prelude::*;
 use std::sync::OnceLock;
@@ -42,7 +42,7 @@ pub(crate) const COARSE: &str = ". Coarse steps: ";
 const PILOT: usize = 8;
 
 /// A prepared trial.
-pub struct Trial<'a> {
+pub struct PreparedTrial<'a> {
     /// The problem, with tuned integrators.
     pub problem: Problem,
     /// Thread pool.
@@ -71,23 +71,23 @@ pub(crate) struct Integrators {
     /// Why they were chosen.
     pub reason: String,
     /// Work of the pilots.
-    pub pilots: dynamics::Counters,
+    pub pilots: dynamics::SimulationCounts,
     /// The accurate integrator of the initial body, without the work of its pilot.
     initial: Pilot,
     /// The accurate integrator of the spec, not tuned.
-    requested: Solver,
+    requested: IntegratorSettings,
 }
 
 /// Result of a simulation with sensors.
 pub struct Response {
     /// Readings and targets.
     pub samples: Samples,
-    motion: Motion,
+    motion: SimulationOutput,
     /// Chips of the simulated cast.
     chips: Chips,
 }
 
-impl<'a> Trial<'a> {
+impl<'a> PreparedTrial<'a> {
     /// Draws the forces, tunes the integrators, simulates the initial body and computes the scales from it. Every
     /// process that resumes or analyses a trial obtains the same result.
     ///
@@ -104,8 +104,8 @@ impl<'a> Trial<'a> {
     ///
     /// # Errors
     /// If the body cannot be simulated.
-    pub(crate) fn with_source(&self, source: &Source, design: &[f64]) -> Result<Self, Failure> {
-        let stimuli = Stimuli { source: source.clone(), ..self.problem.stimuli.clone() };
+    pub(crate) fn with_source(&self, source: &HistorySource, design: &[f64]) -> Result<Self, Failure> {
+        let stimuli = ForceSets { source: source.clone(), ..self.problem.stimuli.clone() };
         let (initial, solver, under) = (design.to_vec(), self.integrators.requested, Vec::new());
         let mut problem = Problem { stimuli, initial, solver, under, ..self.problem.clone() };
         problem.optimise.coarse = None;
@@ -133,13 +133,14 @@ impl<'a> Trial<'a> {
         }
 
         let [mut train, test] = problem.training_and_test();
-        let plain = |design: &[f64], solver: &Solver, forces: &mut Forces| -> Result<Samples, Failure> {
-            let motion = simulated(&problem, &problem.scene, design, forces, solver, false, pool);
-            check_failures(&motion.outcomes).map_err(Failure::Initial)?;
-            let failed = clear_failed_forces(forces, &motion.outcomes);
-            let signals = problem.read(motion.signals, forces.samples);
-            Ok(problem.samples(signals, forces).with_failed(failed))
-        };
+        let plain =
+            |design: &[f64], solver: &IntegratorSettings, forces: &mut Forces| -> Result<Samples, Failure> {
+                let motion = simulated(&problem, &problem.scene, design, forces, solver, false, pool);
+                check_failures(&motion.outcomes).map_err(Failure::Initial)?;
+                let failed = clear_failed_forces(forces, &motion.outcomes);
+                let signals = problem.read(motion.signals, forces.samples);
+                Ok(problem.samples(signals, forces).with_failed(failed))
+            };
         let chip = match (chip, &problem.relative_to) {
             (None, Some(design)) => {
                 let tuned = pilot(&problem, design, &asked, pool);
@@ -163,8 +164,8 @@ impl<'a> Trial<'a> {
             }
         }
         let network_scales = match problem.brain.scaling {
-            Scaling::Rms => scales.clone(),
-            Scaling::Extremes => Scales::by_extremes(&initial),
+            Normalisation::Rms => scales.clone(),
+            Normalisation::Extremes => Scales::by_extremes(&initial),
         };
         let likeness =
             problem.variation.map_or(Vec::new(), |v| v.correlation_factor(&problem.scene.layout, pool));
@@ -174,7 +175,7 @@ impl<'a> Trial<'a> {
             integrators: Integrators {
                 reason,
                 pilots,
-                initial: Pilot { counters: dynamics::Counters::default(), ..usual },
+                initial: Pilot { counters: dynamics::SimulationCounts::default(), ..usual },
                 requested: asked,
             },
             train,
@@ -192,8 +193,8 @@ impl<'a> Trial<'a> {
     /// the scale of its own body; otherwise networks on bodies with larger signals would learn faster.
     pub(crate) fn scales_of(&self, signals: &[f64]) -> [Scales; 2] {
         let network = match self.problem.brain.scaling {
-            Scaling::Rms => self.scales.with_rms_of(signals),
-            Scaling::Extremes => self.network_scales.clone(),
+            Normalisation::Rms => self.scales.with_rms_of(signals),
+            Normalisation::Extremes => self.network_scales.clone(),
         };
         [self.scales.clone(), network]
     }
@@ -214,7 +215,7 @@ impl<'a> Trial<'a> {
         &self,
         design: &[f64],
         forces: &Forces,
-        solver: &Solver,
+        solver: &IntegratorSettings,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
@@ -250,7 +251,7 @@ impl<'a> Trial<'a> {
         cast: Option<&Cast>,
         design: &[f64],
         mut forces: Forces,
-        solver: &Solver,
+        solver: &IntegratorSettings,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
@@ -283,7 +284,13 @@ impl<'a> Trial<'a> {
         found
     }
 
-    fn response(&self, mut motion: Motion, chips: Chips, forces: &Forces, failed: Vec<bool>) -> Response {
+    fn response(
+        &self,
+        mut motion: SimulationOutput,
+        chips: Chips,
+        forces: &Forces,
+        failed: Vec<bool>,
+    ) -> Response {
         let mut signals = std::mem::take(&mut motion.signals);
         chips.read(&mut signals);
         let signals = self.disturbed_signals(signals, forces);
@@ -324,7 +331,7 @@ impl<'a> Trial<'a> {
 }
 
 /// Tunes an integrator on a body with the first samples.
-pub fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Pilot {
+pub fn pilot(problem: &Problem, design: &[f64], solver: &IntegratorSettings, pool: &crate::Pool) -> Pilot {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
     tuned(problem, &problem.scene, design, &forces, solver, pool)
 }
@@ -335,7 +342,7 @@ pub fn tuned(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
+    solver: &IntegratorSettings,
     pool: &crate::Pool,
 ) -> Pilot {
     let (scene, forces) = problem.in_motion(scene, forces);
@@ -348,13 +355,17 @@ pub fn simulated(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
-    solver: &Solver,
+    solver: &IntegratorSettings,
     keep_tape: bool,
     pool: &crate::Pool,
-) -> Motion {
+) -> SimulationOutput {
     let (scene, forces) = problem.in_motion(scene, forces);
-    let double = problem.decoder_kind == BrainKind::Inverse;
-    problem.body.simulate(&scene, &Run { design, forces: &forces, solver, keep_tape, double }, pool)
+    let double = problem.decoder_kind == DecoderKind::Inverse;
+    problem.body.simulate(
+        &scene,
+        &SimulationInput { design, forces: &forces, solver, keep_tape, double },
+        pool,
+    )
 }
 
 /// Checks that all samples succeeded.

@@ -1,17 +1,17 @@
 //! A design and its solver, from which the body and its casts are simulated after training.
 
-use super::{Counters, Samples, Trial, Trouble};
-use crate::dynamics::{Forces, Solver};
+use super::{Counters, PreparedTrial, Samples, Trouble};
+use crate::dynamics::{Forces, IntegratorSettings};
 use crate::variation::Cast;
 
 /// A design of a trial, with what its simulation needs.
 #[derive(Clone, Copy)]
 pub(crate) struct DesignWithSolver<'a> {
-    pub trial: &'a Trial<'a>,
+    pub trial: &'a PreparedTrial<'a>,
     /// α (mm).
     pub design: &'a [f64],
     /// Tuned by the pilot of the body as designed.
-    pub solver: &'a Solver,
+    pub solver: &'a IntegratorSettings,
 }
 
 impl DesignWithSolver<'_> {

@@ -105,7 +105,7 @@ impl std::fmt::Display for Failure {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counters {
     /// Force evaluations, integrator steps and rejected steps.
-    pub dynamics: dynamics::Counters,
+    pub dynamics: dynamics::SimulationCounts,
     /// Adam iterations of decoders.
     pub brain_iterations: u64,
     /// Hessian-vector products.

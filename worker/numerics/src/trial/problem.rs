@@ -1,22 +1,22 @@
 //! Settings of a trial: scene, forces, limits, and training of body and decoders.
 
-use super::Trial;
-use super::body::Body;
-use super::chip::{Chip, Disturbance, Size};
+use super::PreparedTrial;
+use super::body::BodyModel;
+use super::chip::{Chip, ChipErrors, Size};
 use super::filter::Filter;
 use super::outcome::Failure;
 use super::samples::{Samples, pick};
-use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
+use super::settings::{Decoder, DecoderKind, FinalComparison, OuterLoop, Training};
 use crate::brain::Shape;
 use crate::brain::linear::Sizes;
 use crate::brains::Tasks;
-use crate::dynamics::{Forces, Scene, Solver};
-use crate::feasible::{Feasible, Limits};
+use crate::dynamics::{Forces, IntegratorSettings, Scene};
+use crate::feasible::{FeasibleSet, Limits};
 use crate::random::Purpose;
 use crate::stimuli::{
-    RecordSplit, Source, bells, draw_parts, gauss, irregular, silenced, split, spread, targets,
+    HistorySource, RecordSplit, bells, draw_parts, gauss, irregular, silenced, split, spread, targets,
 };
-use crate::variation::Variation;
+use crate::variation::Deviations;
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ use std::sync::Arc;
 #[derive(Debug, Clone)]
 pub struct Problem {
     /// Simulates designs in the scene.
-    pub body: Arc<dyn Body>,
+    pub body: Arc<dyn BodyModel>,
     /// Panels, sensors, clock, and the body if it consists of polygons. No sensors before the search has placed them.
     pub scene: Scene,
     /// Search for the sensor units, unless they are given.
@@ -32,7 +32,7 @@ pub struct Problem {
     /// α of the initial body (mm).
     pub initial: Vec<f64>,
     /// Integrator of evaluations, and of steps without a coarse integrator.
-    pub solver: Solver,
+    pub solver: IntegratorSettings,
     /// Limits of a castable design.
     pub limits: Limits,
     /// Units whose nodes keep their initial positions.
@@ -42,17 +42,17 @@ pub struct Problem {
     /// Cells along x and y of a block whose nodes share their shifts; `[1, 1]`: none.
     pub tie: [usize; 2],
     /// Forces.
-    pub stimuli: Stimuli,
+    pub stimuli: ForceSets,
     /// Measured channels of each sensor: a_x (0), a_y (1), ω (2), ascending.
     pub channels: Vec<usize>,
     /// Imperfections of the sensors' chips, if any.
-    pub disturbance: Option<Disturbance>,
+    pub disturbance: Option<ChipErrors>,
     /// α (mm) of the body whose training signals scale relative noise; `None`: the initial body.
     pub relative_to: Option<Vec<f64>>,
     /// Deviations of casts, if casts are evaluated.
-    pub variation: Option<Variation>,
+    pub variation: Option<Deviations>,
     /// Decoder in the final comparison.
-    pub decoder_kind: BrainKind,
+    pub decoder_kind: DecoderKind,
     /// Sensing tasks of readouts.
     pub tasks: Tasks,
     /// The network, and the training of fresh networks.
@@ -60,11 +60,11 @@ pub struct Problem {
     /// The linear decoder.
     pub decoder: Decoder,
     /// The outer loop.
-    pub optimise: Optimise,
+    pub optimise: OuterLoop,
     /// The final comparison.
-    pub evaluation: Evaluation,
+    pub evaluation: FinalComparison,
     /// Other kinds of forces under which the final comparison also evaluates both bodies.
-    pub under: Vec<Source>,
+    pub under: Vec<HistorySource>,
     /// Seed of stimuli, split, networks and batches.
     pub seed: u64,
 }
@@ -84,9 +84,9 @@ pub struct Placing {
 
 /// Source and numbers of force histories.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Stimuli {
+pub struct ForceSets {
     /// Source.
-    pub source: Source,
+    pub source: HistorySource,
     /// Instants of the forces' own clock, a multiple of the scene's.
     pub instants: usize,
     /// N: samples in the training and the test set.
@@ -99,7 +99,7 @@ pub struct Stimuli {
     pub holdout: usize,
 }
 
-impl Stimuli {
+impl ForceSets {
     /// Sample numbers of the training set and of the test set.
     pub fn split(&self, seed: u64) -> (Vec<usize>, Vec<usize>) {
         split(seed, self.samples, self.test, self.replacement)
@@ -108,8 +108,8 @@ impl Stimuli {
 
 impl Problem {
     /// The feasible designs of polygons.
-    pub fn castable(&self) -> Feasible {
-        Feasible::moving(&self.scene.layout, self.limits, self.tie, &self.frozen, &self.kept)
+    pub fn castable(&self) -> FeasibleSet {
+        FeasibleSet::moving(&self.scene.layout, self.limits, self.tie, &self.frozen, &self.kept)
     }
 
     /// Shape of the network.
@@ -126,7 +126,7 @@ impl Problem {
     /// Shape of the reader's network; if stacked, its inputs include a linear estimate of each force.
     pub fn reader_shape(&self) -> Shape {
         let shape = self.shape();
-        let estimates = if self.decoder_kind == BrainKind::Stacked { shape.outputs } else { 0 };
+        let estimates = if self.decoder_kind == DecoderKind::Stacked { shape.outputs } else { 0 };
         Shape { inputs: shape.inputs + estimates, ..shape }
     }
 
@@ -142,7 +142,7 @@ impl Problem {
     pub fn chips(&self, pool: &crate::Pool) -> Result<Option<Chip>, Failure> {
         let relative = |size: Size| matches!(size, Size::Relative(part) if part > 0.0);
         match self.disturbance.is_some_and(|d| relative(d.noise) || relative(d.bias)) {
-            true => Ok(Trial::new(self, pool)?.chip),
+            true => Ok(PreparedTrial::new(self, pool)?.chip),
             false => Ok(self.chip(&vec![0.0; self.shape().inputs])),
         }
     }
@@ -169,7 +169,7 @@ impl Problem {
     }
 
     fn filter(&self) -> Option<Filter> {
-        let some = |d: &Disturbance| d.clock(self.interval()) > 1;
+        let some = |d: &ChipErrors| d.clock(self.interval()) > 1;
         self.disturbance.filter(some).map(|d| Filter::new(&d, self.interval()))
     }
 
@@ -245,7 +245,7 @@ impl Problem {
     /// As [`Problem::forces`], for one part of a mixture; equals the part's own samples of the same numbers.
     pub(crate) fn part(&self, part: usize, purpose: Purpose, first: u64, count: usize) -> Forces {
         let source = match &self.stimuli.source {
-            Source::Mix(parts) => &parts[part].1,
+            HistorySource::Mix(parts) => &parts[part].1,
             whole => whole,
         };
         self.forces_of(source, self.scene.panels.len(), purpose, first, count)
@@ -254,7 +254,7 @@ impl Problem {
     /// Part of the mixture, from 0, of each sample of [`Problem::forces`].
     pub fn parts_of(&self, purpose: Purpose, first: u64, count: usize) -> Vec<usize> {
         match &self.stimuli.source {
-            Source::Mix(parts) => {
+            HistorySource::Mix(parts) => {
                 let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
                 draw_parts(&weights, purpose, self.seed, first..first + count as u64)
             }
@@ -272,7 +272,7 @@ impl Problem {
 
     fn forces_of(
         &self,
-        source: &Source,
+        source: &HistorySource,
         panels: usize,
         purpose: Purpose,
         first: u64,
@@ -282,19 +282,22 @@ impl Problem {
         let (duration, instants) = (scene.duration, self.stimuli.instants);
         let samples = first..first + count as u64;
         match source {
-            Source::Bell(bell) => bells(bell, purpose, self.seed, samples, panels, duration, instants),
-            Source::Gauss(kind) => gauss(kind, purpose, self.seed, samples, panels, duration, instants),
-            Source::Irregular(kind) => {
+            HistorySource::Bell(bell) => bells(bell, purpose, self.seed, samples, panels, duration, instants),
+            HistorySource::Gauss(kind) => {
+                gauss(kind, purpose, self.seed, samples, panels, duration, instants)
+            }
+            HistorySource::Irregular(kind) => {
                 irregular(kind, purpose, self.seed, samples, panels, duration, instants)
             }
-            Source::Recorded(records) => {
-                let Stimuli { samples, test, replacement, .. } = self.stimuli;
+            HistorySource::Recorded(records) => {
+                let ForceSets { samples, test, replacement, .. } = self.stimuli;
                 let deal = RecordSplit { seed: self.seed, samples, test, replacement };
                 records.forces(deal, purpose, first, count, panels, duration)
             }
-            Source::Mix(parts) => {
+            HistorySource::Mix(parts) => {
                 let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
-                let of_part = |(_, part): &(f64, Source)| self.forces_of(part, panels, purpose, first, count);
+                let of_part =
+                    |(_, part): &(f64, HistorySource)| self.forces_of(part, panels, purpose, first, count);
                 let of: Vec<Forces> = parts.iter().map(of_part).collect();
                 let drawn = draw_parts(&weights, purpose, self.seed, samples);
                 let values = drawn.iter().enumerate().flat_map(|(i, &part)| of[part].sample(i)).copied();
@@ -304,18 +307,18 @@ impl Problem {
                 let strikes = (0..strikes).map(strike).collect();
                 Forces { samples: count, panels, instants, values: values.collect(), strikes }
             }
-            Source::Silent(silent, source) => {
+            HistorySource::Silent(silent, source) => {
                 let mut forces = self.forces_of(source, panels, purpose, first, count);
                 let mask = samples.flat_map(|i| silenced(*silent, purpose, self.seed, i, panels));
                 let histories = forces.values.chunks_exact_mut(instants + 1);
                 histories.zip(mask).filter(|(_, silent)| *silent).for_each(|(own, _)| own.fill(0.0));
                 forces
             }
-            Source::Anywhere(source) => {
+            HistorySource::Anywhere(source) => {
                 let blows = self.forces_of(source, 1, purpose, first, count);
                 spread(&blows, purpose, self.seed, first, panels)
             }
-            Source::Struck(hand, source) => {
+            HistorySource::Struck(hand, source) => {
                 let strikes = hand.strikes(&scene.panels, purpose, self.seed, samples);
                 Forces { strikes, ..self.forces_of(source, panels, purpose, first, count) }
             }
@@ -342,7 +345,8 @@ impl Problem {
 
     /// Whether targets from forces on a finer clock pass a low-pass.
     pub fn low_pass(&self) -> bool {
-        let records = |part: &&Source| matches!(part, Source::Recorded(records) if records.low_pass);
+        let records =
+            |part: &&HistorySource| matches!(part, HistorySource::Recorded(records) if records.low_pass);
         self.stimuli.source.parts().iter().any(records)
     }
 

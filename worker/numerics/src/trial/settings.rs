@@ -2,11 +2,11 @@
 
 use crate::brain::Architecture;
 use crate::brain::linear::Lags;
-use crate::dynamics::Solver;
+use crate::dynamics::IntegratorSettings;
 
 /// Kind of decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BrainKind {
+pub enum DecoderKind {
     /// A convolutional network.
     Network,
     /// A linear decoder.
@@ -17,7 +17,7 @@ pub enum BrainKind {
     Inverse,
 }
 
-impl BrainKind {
+impl DecoderKind {
     /// Whether the decoder is trained by iterations.
     pub fn is_network(self) -> bool {
         matches!(self, Self::Network | Self::Stacked)
@@ -30,12 +30,12 @@ pub struct Decoder {
     /// Memory of the decoder.
     pub lags: Lags,
     /// Regularisation λ.
-    pub ridge: Ridge,
+    pub ridge: RidgeChoice,
 }
 
 /// How λ is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Ridge {
+pub enum RidgeChoice {
     /// By cross-validation on the training samples.
     Auto,
     /// A given value.
@@ -52,12 +52,12 @@ pub struct Training {
     /// Layers of the network.
     pub architecture: Architecture,
     /// Normalisation of signals and forces.
-    pub scaling: Scaling,
+    pub scaling: Normalisation,
 }
 
 /// Normalisation of a network's signals and forces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scaling {
+pub enum Normalisation {
     /// Signals by the RMS of each body's training signals, forces by mean and standard deviation.
     Rms,
     /// Signals to [−1, 1] and forces to [0, 1] by the extremes of the initial body's training samples, for every body.
@@ -66,17 +66,17 @@ pub enum Scaling {
 
 /// The outer loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Optimise {
+pub struct OuterLoop {
     /// The decoder with which the body is trained.
-    pub brain: BrainKind,
+    pub brain: DecoderKind,
     /// How body and decoder are trained together.
-    pub protocol: Protocol,
+    pub protocol: TrainingProtocol,
     /// Outer steps.
     pub iterations: u32,
     /// Adam's rate on α (mm); in a search, the standard deviation of the candidates.
     pub rate: f64,
     /// A cheaper integrator for the outer steps of `joint`; test evaluations use the accurate one.
-    pub coarse: Option<Solver>,
+    pub coarse: Option<IntegratorSettings>,
     /// Objective over casts or parts of a mixture (`joint`); `None`: over the body as designed.
     pub casting: Option<CastObjective>,
 }
@@ -141,7 +141,7 @@ impl CastObjective {
 
 /// How body and decoder are trained together.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Protocol {
+pub enum TrainingProtocol {
     /// A fresh network in each outer step, trained for `Training::iterations`; the test loss moves the body.
     Paper(Terms),
     /// One network continues; the loss on samples drawn for this step moves the body.
@@ -150,7 +150,7 @@ pub enum Protocol {
     Random(StepTraining),
 }
 
-impl Protocol {
+impl TrainingProtocol {
     /// Whether bodies are independent candidates.
     pub(crate) fn is_search(&self) -> bool {
         matches!(self, Self::Random(_))
@@ -179,11 +179,11 @@ pub enum Terms {
 
 /// The final comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Evaluation {
+pub struct FinalComparison {
     /// Fresh networks per body.
     pub seeds: usize,
     /// Schedule of their learning rate.
-    pub schedule: Schedule,
+    pub schedule: RateSchedule,
     /// Samples per iteration; `None`: all.
     pub batch: Option<usize>,
     /// Iterations of as many further networks with long training.
@@ -200,14 +200,14 @@ pub struct Evaluation {
 
 /// Schedule of Adam's learning rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Schedule {
+pub enum RateSchedule {
     /// Falls to 0 by a cosine.
     Cosine,
     /// Constant.
     Constant,
 }
 
-impl Schedule {
+impl RateSchedule {
     /// Factor on the learning rate in an iteration, from 0.
     pub fn factor(self, iteration: usize, iterations: usize) -> f64 {
         match self {

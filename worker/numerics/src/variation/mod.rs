@@ -12,7 +12,7 @@
 use crate::Pool;
 use crate::body::Layout;
 use crate::brain::linear::factor;
-use crate::dynamics::{Parameters, PartFactors, Relaxation, Scene};
+use crate::dynamics::{MaxwellBranch, Parameters, PartFactors, Scene};
 use crate::random::{Purpose, Stream};
 
 mod chips;
@@ -21,7 +21,7 @@ pub use chips::Chips;
 
 /// Standard deviations of casts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Variation {
+pub struct Deviations {
     /// Of the logarithm of each material parameter.
     pub material: Parameters,
     /// Of the logarithms of k_l, k_s, k_θ per ligament, in addition to `material`.
@@ -31,7 +31,7 @@ pub struct Variation {
     /// Of the logarithm of the ligament length; units shrink accordingly, stiffnesses stay.
     pub ligament_length: f64,
     /// Relaxation of the ligaments, only in casts for the final evaluation.
-    pub relaxation: Option<Relaxation>,
+    pub relaxation: Option<MaxwellBranch>,
     /// Of each coordinate of each shift (mm).
     pub nodes: f64,
     /// Correlation length c of the shifts (mm); 0: independent.
@@ -69,14 +69,14 @@ pub struct Cast {
     /// Factor of the ligament length.
     pub ligament_length: f64,
     /// Relaxation of its ligaments; such a cast has no gradient.
-    pub relaxation: Option<Relaxation>,
+    pub relaxation: Option<MaxwellBranch>,
     /// Deviation of each coordinate of α (mm); empty if there is none.
     pub shifts: Vec<f64>,
     /// Deviations of its chips.
     pub chips: Chips,
 }
 
-impl Variation {
+impl Deviations {
     /// The defaults, those of careful manufacture: stiffnesses 5 %, damping 20 %, density 3 %, nodes 0.1 mm.
     pub const USUAL: Self = Self {
         material: Parameters {

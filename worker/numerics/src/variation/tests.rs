@@ -7,10 +7,10 @@ fn pair() -> Layout {
     Layout::planar(2, 1, 15.0, 2.25)
 }
 
-fn variation() -> Variation {
+fn variation() -> Deviations {
     let material =
         Parameters { stretch: 0.05, shear: 0.1, bend: 0.0, damping_ratio: 0.2, density: 0.03, contact: 0.4 };
-    Variation { material, nodes: 0.1, gain: 0.02, misalignment: 0.03, ..Variation::default() }
+    Deviations { material, nodes: 0.1, gain: 0.02, misalignment: 0.03, ..Deviations::default() }
 }
 
 /// Logarithms of factors, and shifts, have the given standard deviations and are independent; nothing else varies.
@@ -48,7 +48,8 @@ fn a_cast_is_its_key() {
         let other = variation().cast(other.0, other.1, other.2, (&pair(), 2), &[]);
         assert!(other.material.stretch != one.material.stretch && other.shifts[0] != one.shifts[0]);
     }
-    let exact = Variation { nodes: 0.0, gain: 0.0, ..variation() }.cast(7, Casts::Step, 3, (&pair(), 2), &[]);
+    let exact =
+        Deviations { nodes: 0.0, gain: 0.0, ..variation() }.cast(7, Casts::Step, 3, (&pair(), 2), &[]);
     assert_eq!((exact.material, exact.shifts.len(), exact.chips.gain.len()), (one.material, 0, 0));
     assert_eq!(exact.chips.turn, one.chips.turn);
 }
@@ -79,7 +80,7 @@ fn chips_turn_and_amplify_and_their_pull_back_is_the_transpose() {
 #[test]
 fn parts_scatter_each_by_itself() {
     let (layout, count) = (Layout::planar(3, 1, 15.0, 2.25), 4000);
-    let by_parts = Variation { ligaments: [0.05, 0.0, 0.1], units: 0.03, ..variation() };
+    let by_parts = Deviations { ligaments: [0.05, 0.0, 0.1], units: 0.03, ..variation() };
     let cast = |i| by_parts.cast(7, Casts::Unseen, i, (&layout, 1), &[]);
     let casts: Vec<Cast> = (0..count).map(cast).collect();
     let moment = |of: &dyn Fn(&Cast) -> f64| casts.iter().map(of).sum::<f64>() / count as f64;
@@ -102,7 +103,7 @@ fn parts_scatter_each_by_itself() {
     assert_eq!(plain.parts, crate::dynamics::PartFactors::default());
     // The standard deviation of one stiffness does not affect the draws of another.
     let alone =
-        Variation { ligaments: [0.0, 0.0, 0.1], ..variation() }.cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
+        Deviations { ligaments: [0.0, 0.0, 0.1], ..variation() }.cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
     assert_eq!(alone.parts.ligaments[1][2], casts[5].parts.ligaments[1][2]);
 }
 
@@ -110,7 +111,7 @@ fn parts_scatter_each_by_itself() {
 #[test]
 fn lengths_scatter_on_the_grid() {
     let (layout, count) = (pair(), 4000);
-    let by = Variation { ligament_length: 0.04, ..variation() };
+    let by = Deviations { ligament_length: 0.04, ..variation() };
     let cast = |i| by.cast(7, Casts::Unseen, i, (&layout, 1), &[]);
     let squares: f64 = (0..count).map(|i| cast(i).ligament_length.ln().powi(2)).sum();
     let found = (squares / count as f64).sqrt();
@@ -124,7 +125,7 @@ fn lengths_scatter_on_the_grid() {
 #[test]
 fn near_nodes_scatter_alike() {
     let layout = Layout::planar(3, 2, 15.0, 2.25);
-    let variation = Variation { correlation: 15.0, ..variation() };
+    let variation = Deviations { correlation: 15.0, ..variation() };
     let (likeness, count) = (variation.correlation_factor(&layout, &Pool::new(1).unwrap()), 4000);
     let casts: Vec<Cast> =
         (0..count).map(|i| variation.cast(7, Casts::Unseen, i, (&layout, 0), &likeness)).collect();
@@ -141,7 +142,7 @@ fn near_nodes_scatter_alike() {
         }
     }
     // A correlation length beyond the body's size shifts it as a whole.
-    let rigid = Variation { correlation: 1e4, ..variation };
+    let rigid = Deviations { correlation: 1e4, ..variation };
     let cast = rigid.cast(
         7,
         Casts::Step,
@@ -151,7 +152,7 @@ fn near_nodes_scatter_alike() {
     );
     assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");
     assert!(
-        Variation { correlation: 0.0, ..variation }
+        Deviations { correlation: 0.0, ..variation }
             .correlation_factor(&layout, &Pool::new(1).unwrap())
             .is_empty()
     );

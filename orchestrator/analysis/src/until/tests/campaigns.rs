@@ -3,7 +3,7 @@
 
 use metasense_numerics::random::Draw;
 
-use crate::until::ask::{Answer, Question};
+use crate::until::ask::{UntilAnswer, UntilQuestion};
 use crate::until::looks::{Looks, at_least};
 use crate::until::settle;
 
@@ -59,13 +59,13 @@ struct Outcome {
 }
 
 fn campaigns(
-    question: Question,
+    question: UntilQuestion,
     world: &World,
-    is_right: &(dyn Fn(Answer) -> bool + Sync),
+    is_right: &(dyn Fn(UntilAnswer) -> bool + Sync),
     (looks, part): (&mut Looks, u64),
 ) -> Outcome {
     let said = std::env::var("CAMPAIGNS").ok().and_then(|count| count.parse().ok());
-    let usual = if question == Question::Complexity { AT_ITS_LIMIT } else { CAMPAIGNS };
+    let usual = if question == UntilQuestion::Complexity { AT_ITS_LIMIT } else { CAMPAIGNS };
     let count: u64 = said.unwrap_or(usual / part);
     let [mut settled, mut wrong, mut run] = [0.0; 3];
     for campaign in 0..count {
@@ -95,69 +95,74 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
     let falling = [43.0, 22.0, 10.4, 4.1, 2.1, 1.64];
     let trained = [23.0, 2.0, 0.96, 0.12, 0.07, 0.08];
     let bent = [16.0, 8.0, 4.0, 3.6, 3.3, 3.0];
-    let ratio = |x: f64| move |answer: Answer| matches!(answer, Answer::Ratio([_, low, high]) if (low..=high).contains(&x));
-    let sensors = |m: Option<f64>| move |answer: Answer| answer == Answer::Sensors(m);
+    let ratio = |x: f64| move |answer: UntilAnswer| matches!(answer, UntilAnswer::Ratio([_, low, high]) if (low..=high).contains(&x));
+    let sensors = |m: Option<f64>| move |answer: UntilAnswer| answer == UntilAnswer::Sensors(m);
     let mean = |e: &[f64]| e.iter().map(|e| e.ln()).sum::<f64>() / e.len() as f64;
     let linear = (mean(&falling) - mean(&trained)).exp();
-    type Right = Box<dyn Fn(Answer) -> bool + Sync>;
+    type Right = Box<dyn Fn(UntilAnswer) -> bool + Sync>;
     let heavy = World { heavy: true, ..World::new(&trained, &falling) };
-    let cases: Vec<(&str, Question, World, Right)> = vec![
+    let cases: Vec<(&str, UntilQuestion, World, Right)> = vec![
         (
             "paired, like four-forces",
-            Question::Paired(0.25),
+            UntilQuestion::Paired(0.25),
             World::new(&trained, &falling),
             Box::new(ratio(linear)),
         ),
-        ("the same, heavy tails", Question::Paired(0.25), heavy, Box::new(ratio(linear))),
+        ("the same, heavy tails", UntilQuestion::Paired(0.25), heavy, Box::new(ratio(linear))),
         (
             "paired, units differ more",
-            Question::Paired(0.5),
+            UntilQuestion::Paired(0.5),
             World { ratio: 0.3, ..World::new(&trained, &falling) },
             Box::new(ratio(linear)),
         ),
         (
             "within 10 %: clear",
-            Question::Within(0.1),
+            UntilQuestion::Within(0.1),
             World::new(&trained, &falling),
             Box::new(sensors(Some(5.0))),
         ),
         (
             "within 10 %: 10.5 % off",
-            Question::Within(0.1),
+            UntilQuestion::Within(0.1),
             World::new(&[20.0, 10.0, 5.0, 4.42, 4.0, 4.0], &falling),
             Box::new(sensors(Some(5.0))),
         ),
         (
             "within 10 %: just within",
-            Question::Within(0.1),
+            UntilQuestion::Within(0.1),
             World::new(&[20.0, 10.0, 5.0, 4.38, 4.0, 4.0], &falling),
             Box::new(sensors(Some(4.0))),
         ),
-        ("elbow at 3", Question::Elbow, World::new(&bent, &falling), Box::new(sensors(Some(3.0)))),
+        ("elbow at 3", UntilQuestion::Elbow, World::new(&bent, &falling), Box::new(sensors(Some(3.0)))),
         (
             "no elbow: just too steep beyond",
-            Question::Elbow,
+            UntilQuestion::Elbow,
             World::new(&[16.0, 8.0, 4.0, 2.8, 1.96, 1.372], &falling),
             Box::new(sensors(None)),
         ),
-        ("fewer: 3 beat 6", Question::Fewer, World::new(&trained, &falling), Box::new(sensors(Some(3.0)))),
+        (
+            "fewer: 3 beat 6",
+            UntilQuestion::Fewer,
+            World::new(&trained, &falling),
+            Box::new(sensors(Some(3.0))),
+        ),
         (
             "fewer: 2 are as good, 3 better",
-            Question::Fewer,
+            UntilQuestion::Fewer,
             World::new(&[23.0, 1.641, 0.9, 0.5, 0.4, 0.3], &falling),
             Box::new(sensors(Some(3.0))),
         ),
         (
             "complexity: all the same",
-            Question::Complexity,
+            UntilQuestion::Complexity,
             World::new(&[4.0; 5], &[8.0; 5]),
             Box::new(|_| false),
         ),
         (
             "complexity: falls",
-            Question::Complexity,
+            UntilQuestion::Complexity,
             World::new(&[6.0, 5.0, 4.5, 4.2, 4.0], &[8.0; 5]),
-            Box::new(|answer| answer == Answer::Falls(true)),
+            Box::new(|answer| answer == UntilAnswer::Falls(true)),
         ),
     ];
     told(&format!(

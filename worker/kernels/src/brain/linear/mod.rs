@@ -12,7 +12,7 @@ mod normal;
 mod solve;
 
 pub use normal::Normal;
-pub use solve::{Fit, Order, Singular, factor};
+pub use solve::{FactoredEquations, Order, Singular, factor};
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};

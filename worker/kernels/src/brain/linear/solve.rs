@@ -29,7 +29,7 @@ pub enum Order {
 
 /// A factor, with the other data of solutions.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub struct FactoredEquations {
     sizes: Sizes,
     lags: Lags,
     /// Groups of lags that share a weight, in the factor's order.
@@ -45,7 +45,7 @@ pub struct Fit {
     weight: f64,
 }
 
-impl Fit {
+impl FactoredEquations {
     /// Factorises G + λI.
     ///
     /// # Errors

@@ -7,7 +7,7 @@ use super::super::jobs::Backward;
 use super::super::loads::FreeForces;
 use super::super::readings::{load_lanes, store_lane};
 use super::super::system::{System, Unit, add_into, damping_cotangent};
-use super::super::{Counters, Forces};
+use super::super::{Forces, SimulationCounts};
 use super::stages::{C, Stages, stage, stage_vjp, step_vjp};
 use super::steps;
 use crate::Heartbeat;
@@ -48,7 +48,7 @@ pub fn reverse<V: Vector<Wide = V>>(
     sweeps: &[Backward<'_>],
     forces_asked: bool,
     heartbeat: &Heartbeat,
-) -> (Vec<f64>, Counters) {
+) -> (Vec<f64>, SimulationCounts) {
     let scene = system.scene;
     let free = &system.model.free;
     let within = system.model.moving_range();
@@ -56,7 +56,7 @@ pub fn reverse<V: Vector<Wide = V>>(
     let (width, len) = (3 * scene.sensors.len(), 6 * free.len());
     let delta = scene.duration / forces.instants as f64;
     let (zero, one) = (V::splat(0.0), V::splat(1.0));
-    let mut counters = Counters::default();
+    let mut counters = SimulationCounts::default();
     let (mut bar_x, mut bar_v) = (system.zeros(), system.zeros());
     let (mut xs, mut vs) = (system.start(), system.zeros());
     let start = system.model.start();

@@ -1,6 +1,6 @@
 //! Properties of records without a model: peaks, noise, repeated blows, clipped readings.
 
-use super::{ONSET, Record};
+use super::{CheckedRecord, ONSET};
 use metasense_numerics::student::median;
 
 /// Instrument properties of one record.
@@ -35,7 +35,7 @@ const FAR: f64 = 0.1;
 
 impl Instruments {
     /// Properties of a record.
-    pub fn of(record: &Record) -> Self {
+    pub fn of(record: &CheckedRecord) -> Self {
         let [onset, _] = record.blow();
         let histories = &record.force.values;
         let largest = |f: &Vec<f64>| f.iter().fold(0.0f64, |m, x| m.max(x.abs()));

@@ -18,9 +18,9 @@ pub use search::ChannelFinding;
 pub use search::{Explanation, RecordFinding, compare};
 pub use spectra::{Spectra, spectra};
 
-use metasense_numerics::dynamics::{Accuracy, Forces, Parameters, Scene, Solver, planned, run};
+use metasense_numerics::dynamics::{Accuracy, Forces, IntegratorSettings, Parameters, Scene, planned, run};
 use metasense_numerics::stimuli::{REACH, anti_aliased, anti_aliased_force};
-use metasense_numerics::trial::Disturbance;
+use metasense_numerics::trial::ChipErrors;
 
 /// Histories on a uniform clock.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -99,7 +99,7 @@ impl History {
 
 /// A record in N, mm/s² and rad/s, with time 0 at the start of the sample.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Record {
+pub struct CheckedRecord {
     /// Force per panel, or the single force on `panel`.
     pub force: History,
     /// Panel of a single force.
@@ -108,7 +108,7 @@ pub struct Record {
     pub signals: History,
 }
 
-impl Record {
+impl CheckedRecord {
     /// Start of the first force, and the time when 95 % of the total impulse has acted (s).
     pub fn blow(&self) -> [f64; 2] {
         let History { values, .. } = &self.force;
@@ -133,17 +133,17 @@ const ONSET: f64 = 0.05;
 
 /// Model for the comparison with records.
 #[derive(Clone)]
-pub struct Model<'a> {
+pub struct ComparisonModel<'a> {
     /// Body with its clock.
     pub scene: &'a Scene,
     /// Design α (mm).
     pub design: &'a [f64],
     /// Integration method and tolerance.
-    pub solver: Solver,
+    pub solver: IntegratorSettings,
     /// Channels per sensor: a_x (0), a_y (1), ω (2).
     pub channels: &'a [usize],
     /// Imperfections of the chips; of these the delay and the low-pass count.
-    pub chip: Option<Disturbance>,
+    pub chip: Option<ChipErrors>,
     /// Threads.
     pub pool: &'a metasense_numerics::Pool,
 }
@@ -152,13 +152,13 @@ pub struct Model<'a> {
 const FINER: f64 = 6.0;
 const COARSE: f64 = 0.02;
 
-impl Model<'_> {
+impl ComparisonModel<'_> {
     /// Simulates a body with scaled `stiffness` and these sensors under each record's forces; `place` gives their panels. Returns one
     /// history per channel, sampled more finely than readings `dt` apart; empty if the simulation fails.
     fn simulate(
         &self,
-        records: &[Record],
-        place: &dyn Fn(&Record) -> Vec<usize>,
+        records: &[CheckedRecord],
+        place: &dyn Fn(&CheckedRecord) -> Vec<usize>,
         sensors: &[usize],
         stiffness: f64,
         dt: f64,
@@ -183,7 +183,8 @@ impl Model<'_> {
         }
         let forces = Forces { samples: records.len(), panels, instants, values, strikes: Vec::new() };
         let accuracy = Accuracy(self.solver.accuracy.0.max(COARSE));
-        let plan = planned(&scene, self.design, &forces, &Solver { accuracy, ..self.solver }).double();
+        let plan =
+            planned(&scene, self.design, &forces, &IntegratorSettings { accuracy, ..self.solver }).double();
         let signals = run(&scene, self.design, &forces, &plan, false, self.pool).signals;
         let (width, step) = (3 * sensors.len(), duration / instants as f64);
         let of_sample = |sample: &[f64]| {

@@ -1,7 +1,7 @@
 //! Searches for an explanation of the records: stiffness, panels, clock, axes, sensor positions. Then tests single records.
 
 use super::sums::ProductSums;
-use super::{History, Model, Record};
+use super::{CheckedRecord, ComparisonModel, History};
 use metasense_numerics::student::median;
 
 /// Factors on all stiffnesses.
@@ -30,7 +30,7 @@ const FAITHFUL: f64 = 0.95;
 const MIN_WINDOW_SHARE: f64 = 0.75;
 
 /// Simulated signal that a channel contains (sensor · channels + channel), and its sign.
-pub type Source = (usize, f64);
+pub type MatchedSignal = (usize, f64);
 
 /// Comparison of one channel over all records.
 #[derive(Debug, Clone, PartialEq)]
@@ -78,7 +78,7 @@ pub struct Explanation {
     /// Delay of the readings relative to the file's clock (s), per record.
     pub lags: Vec<f64>,
     /// Source per channel.
-    pub source: Vec<Source>,
+    pub source: Vec<MatchedSignal>,
     /// Per sensor, the unit that explains its signals better; mean correlations with the described unit and with this one.
     pub units: Vec<Option<(usize, [f64; 2])>>,
     /// Comparison per channel.
@@ -97,15 +97,15 @@ struct State {
     stiffness: f64,
     panels: Vec<usize>,
     lags: Vec<f64>,
-    source: Vec<Source>,
+    source: Vec<MatchedSignal>,
     score: f64,
     /// Score minus penalties for changes, so that fewer changes win among similar scores.
     value: f64,
 }
 
 struct RecordSearch<'a> {
-    model: &'a Model<'a>,
-    records: &'a [Record],
+    model: &'a ComparisonModel<'a>,
+    records: &'a [CheckedRecord],
     /// Low-passed signals minus their mean before the blow.
     smooth: Vec<History>,
     windows: Vec<[f64; 2]>,
@@ -125,7 +125,7 @@ struct RecordSearch<'a> {
 ///
 /// # Panics
 /// If there are no records, or their channels differ from the model's.
-pub fn compare(model: &Model, records: &[Record]) -> Option<Explanation> {
+pub fn compare(model: &ComparisonModel, records: &[CheckedRecord]) -> Option<Explanation> {
     let as_said = find_explanation(model, records);
     if as_said.as_ref().is_some_and(|found| found.correlation[1] > GOOD) {
         return as_said;
@@ -141,7 +141,7 @@ pub fn compare(model: &Model, records: &[Record]) -> Option<Explanation> {
     Some(weaker)
 }
 
-fn find_explanation(model: &Model, records: &[Record]) -> Option<Explanation> {
+fn find_explanation(model: &ComparisonModel, records: &[CheckedRecord]) -> Option<Explanation> {
     let session = RecordSearch::new(model, records);
     let mut best: Option<(State, Vec<Vec<History>>, f64)> = None;
     for stiffness in STIFFNESS {
@@ -156,10 +156,10 @@ fn find_explanation(model: &Model, records: &[Record]) -> Option<Explanation> {
 }
 
 impl<'a> RecordSearch<'a> {
-    fn new(model: &'a Model<'a>, records: &'a [Record]) -> Self {
+    fn new(model: &'a ComparisonModel<'a>, records: &'a [CheckedRecord]) -> Self {
         let dt = records.iter().map(|r| r.signals.dt).fold(0.0, f64::max);
         let cutoff = CUTOFF / dt;
-        let smooth = |record: &Record| {
+        let smooth = |record: &CheckedRecord| {
             let [onset, _] = record.blow();
             let mut smooth = record.signals.smooth(cutoff);
             let quiet = smooth.before(onset);
@@ -169,7 +169,7 @@ impl<'a> RecordSearch<'a> {
             }
             smooth
         };
-        let window = |record: &Record| {
+        let window = |record: &CheckedRecord| {
             let ([onset, end], w) = (record.blow(), PERIODS / cutoff);
             [onset - 0.25 * w, (onset + w).max(end).min(model.scene.duration)]
         };
@@ -214,7 +214,7 @@ impl<'a> RecordSearch<'a> {
             };
             of.values.iter_mut().for_each(filter);
         }
-        let read = |(motion, record): (&History, &Record)| {
+        let read = |(motion, record): (&History, &CheckedRecord)| {
             let clock = &record.signals;
             let at = |c: usize| (0..clock.entries()).map(|n| motion.at(c, clock.time(n))).collect();
             History { values: (0..channels).map(at).collect(), ..*clock }.smooth(self.cutoff)
@@ -254,7 +254,7 @@ impl<'a> RecordSearch<'a> {
     }
 
     fn motion(&self, order: &[usize], sensors: &[usize], stiffness: f64) -> Vec<History> {
-        let place = |record: &Record| match record.panel {
+        let place = |record: &CheckedRecord| match record.panel {
             Some(panel) => vec![order[panel]],
             None => order.to_vec(),
         };
@@ -331,7 +331,7 @@ impl<'a> RecordSearch<'a> {
 
     /// Source per channel, mean correlation, and that minus penalties. A sensor keeps its channels unless another sensor, order or sign is
     /// much better.
-    fn assigned(&self, all: &ProductSums) -> (Vec<Source>, f64, f64) {
+    fn assigned(&self, all: &ProductSums) -> (Vec<MatchedSignal>, f64, f64) {
         let (own, sensors) = (self.model.channels.len(), self.model.scene.sensors.len());
         let orders = permutations(own);
         let (mut source, mut sum, mut cost) = (Vec::new(), 0.0, 0.0);
@@ -379,7 +379,7 @@ impl<'a> RecordSearch<'a> {
             (0..width).map(|c| all.correlation(c, c)).sum::<f64>() / self.compared(0..width)
         };
         let before = as_said.as_ref().map_or(0.0, mean);
-        let source: Vec<Source> = (0..width).map(|c| (c, 1.0)).collect();
+        let source: Vec<MatchedSignal> = (0..width).map(|c| (c, 1.0)).collect();
         let lags = vec![0.0; count];
         let none = State { stiffness, panels: same.clone(), lags, source, score: before, value: before };
         // If most records match as described, only single records can be wrong.

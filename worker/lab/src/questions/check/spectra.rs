@@ -6,7 +6,7 @@
 //! Natural frequencies: eigensystem realisation algorithm (Juang and Pappa, J. Guid. Control Dyn. 8, 620, 1985) on the signals after each
 //! blow. Poles count if models of two orders agree.
 
-use super::Record;
+use super::CheckedRecord;
 use metasense_numerics::stimuli::anti_aliased;
 use nalgebra::{Complex, DMatrix, SymmetricEigen};
 use std::f64::consts::TAU;
@@ -36,7 +36,7 @@ const APART: f64 = 0.03;
 const DAMPED: f64 = 0.25;
 
 /// Spectra of records that last `duration` (s), with `panels` panels.
-pub fn spectra(records: &[Record], panels: usize, duration: f64) -> Spectra {
+pub fn spectra(records: &[CheckedRecord], panels: usize, duration: f64) -> Spectra {
     let dt = records.iter().map(|r| r.signals.dt).fold(0.0, f64::max);
     let instants = (duration / dt).round().max(2.0) as usize;
     let channels = records[0].signals.values.len();
@@ -90,11 +90,11 @@ fn transform(history: &[f64], frequencies: &[f64], dt: f64) -> Vec<Complex<f64>>
     frequencies.iter().map(of).collect()
 }
 
-fn rings(records: &[Record]) -> Vec<[f64; 3]> {
+fn rings(records: &[CheckedRecord]) -> Vec<[f64; 3]> {
     let channels = records[0].signals.values.len();
     let size = LAGS * channels;
     let mut scale = vec![0.0f64; channels];
-    let tails: Vec<(usize, &Record)> = records
+    let tails: Vec<(usize, &CheckedRecord)> = records
         .iter()
         .map(|record| {
             let [_, end] = record.blow();

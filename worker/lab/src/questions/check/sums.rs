@@ -1,6 +1,6 @@
 //! Correlations of measured with simulated channels.
 
-use super::search::Source;
+use super::search::MatchedSignal;
 
 /// Sums over readings: squares of measured and of simulated channels, and products.
 #[derive(Debug, Clone, Default)]
@@ -37,7 +37,7 @@ impl ProductSums {
     }
 
     /// Correlation over the channels that are not silent, each scaled by its RMS over all records.
-    pub fn agreement(&self, all: &Self, source: &[Source], silent: &[bool]) -> f64 {
+    pub fn agreement(&self, all: &Self, source: &[MatchedSignal], silent: &[bool]) -> f64 {
         let mut sums = [0.0; 3];
         for (c, &(d, sign)) in source.iter().enumerate() {
             let (y, s) = (all.measured[c], all.simulated[d]);

@@ -9,7 +9,7 @@
 //! differences with fixed steps, all in lanes.
 
 use metasense_numerics::definite::inverse;
-use metasense_numerics::dynamics::{Forces, Outcome, Plan, Scene, run};
+use metasense_numerics::dynamics::{Forces, IntegrationPlan, Outcome, Scene, run};
 use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Prior of the forces.
@@ -107,7 +107,7 @@ pub fn jacobian_times(
     forces: &Forces,
     sample: usize,
     prior: &ForcePrior,
-    plan: &Plan,
+    plan: &IntegrationPlan,
     pool: &metasense_numerics::Pool,
 ) -> Result<Vec<f64>, Outcome> {
     let own = forces.sample(sample);

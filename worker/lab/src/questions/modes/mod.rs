@@ -14,7 +14,7 @@ pub use faer::c64;
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::{Llt, Lu, SymbolicLu};
 use faer::{Mat, Side};
-use metasense_numerics::dynamics::{Frame, Rest, Scene, sparse};
+use metasense_numerics::dynamics::{AccelerationFrame, Rest, Scene, sparse};
 use nalgebra::DVector;
 use std::f64::consts::TAU;
 
@@ -276,7 +276,7 @@ impl Subspace {
 }
 
 /// Response of a unit to a force of 1 N on a panel at one frequency: a_x, a_y (mm/s²/N) and ω (rad/s/N), in the scene's frame.
-pub type Response = [c64; 3];
+pub type FrequencyResponse = [c64; 3];
 
 /// Responses (frequencies, panels, units) of each unit to each panel at these frequencies (Hz).
 ///
@@ -287,7 +287,7 @@ pub fn responses(
     rest: &Rest,
     units: &[usize],
     frequencies: &[f64],
-) -> Vec<Vec<Vec<Response>>> {
+) -> Vec<Vec<Vec<FrequencyResponse>>> {
     let n = rest.mass.len();
     assert!(units.iter().all(|u| *u < scene.layout.units()), "units {units:?}");
     let mut forces = Mat::<c64>::zeros(n, scene.panels.len());
@@ -326,7 +326,7 @@ pub fn part_of(
     rest: &Rest,
     units: &[usize],
     frequencies: &[f64],
-) -> Vec<Vec<Vec<Response>>> {
+) -> Vec<Vec<Vec<FrequencyResponse>>> {
     let Mode { s, shape } = mode;
     let shape_at = |unknown: usize| shape[unknown / 3][unknown % 3];
     let damped = rest.unknowns.iter().zip(&rest.damping).map(|(&i, c)| shape_at(i) * shape_at(i) * *c);
@@ -358,10 +358,10 @@ fn read(
     [u, v, turn]: [c64; 3],
     shaken: [f64; 2],
     hertz: f64,
-) -> Response {
+) -> FrequencyResponse {
     let turned = match scene.frame {
-        Frame::World => 0.0,
-        Frame::Body => rest.turned.get(unit).copied().unwrap_or(0.0),
+        AccelerationFrame::World => 0.0,
+        AccelerationFrame::Body => rest.turned.get(unit).copied().unwrap_or(0.0),
     };
     let speed = c64::new(0.0, TAU * hertz);
     let [x, y] = [(u, 0), (v, 1)].map(|(moved, d)| speed * speed * moved + shaken[d]);

@@ -2,9 +2,10 @@ use super::*;
 use crate::small::{GOING, on_lattices};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Forces, Frame, Method, Panel, Plan, PrescribedMotion, Stiffness, highest_frequency, run,
+    AccelerationFrame, Forces, IntegrationPlan, Integrator, LigamentStiffness, Panel, PrescribedMotion,
+    highest_frequency, run,
 };
-use metasense_numerics::trial::Protocol;
+use metasense_numerics::trial::TrainingProtocol;
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
@@ -13,7 +14,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
     Scene {
         layout,
         density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        stiffness: LigamentStiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         damping_ratio: 0.02,
         clamped,
         panels: vec![Panel::central(top, [0.6, -0.8]), Panel::central(top - 2, [0.0, -1.0])],
@@ -40,7 +41,7 @@ fn small() -> (Scene, Vec<f64>) {
 fn bodies() -> Vec<(String, Scene, Vec<f64>)> {
     let (scene, design) = small();
     let mut bodies = vec![("squares".into(), scene, design)];
-    for (what, problem) in on_lattices(&crate::small::small(Protocol::Joint(GOING))) {
+    for (what, problem) in on_lattices(&crate::small::small(TrainingProtocol::Joint(GOING))) {
         let (mut scene, mut design) = (problem.scene, problem.initial);
         (scene.duration, scene.instants) = (0.1, 20);
         scene.sensors.push(scene.panels[0].unit);
@@ -188,7 +189,7 @@ fn responses_of_a_pressed_body_are_along_its_chips() {
     let pressed = [vec![[0.0; 2]; held], vec![[0.0, -2.0], [0.5, 0.0]]].concat();
     let panels = vec![Panel::central(last - 1, [0.0, -1.0])];
     let world = Scene { clamped, imposed: pressed, panels, sensors: vec![last - 1], ..scene };
-    let body = Scene { frame: Frame::Body, ..world.clone() };
+    let body = Scene { frame: AccelerationFrame::Body, ..world.clone() };
     let rest = Rest::new(&world, &design);
     let turn = rest.turned[last - 1];
     let [a, b] = [&world, &body].map(|scene| responses(scene, &rest, &scene.sensors, &[40.0])[0][0][0]);
@@ -245,7 +246,7 @@ fn check_motions(what: &str, scene: &Scene, design: &[f64]) {
     let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
     let forces = Forces { samples: 2, panels, instants: 20, values, strikes: Vec::new() };
     let pool = metasense_numerics::Pool::new(1).unwrap();
-    let plan = Plan::equal(Method::Nystrom6, 64);
+    let plan = IntegrationPlan::equal(Integrator::Nystrom6, 64);
     let simulated = run(scene, design, &forces, &plan, false, &pool).signals;
     let h = scene.duration / 20.0;
     let mut q = vec![c64::ZERO; modes.len()];

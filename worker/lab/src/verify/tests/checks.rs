@@ -2,13 +2,14 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, PartFactors, Plan, Scene,
-    Simulation, Solver, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
+    AccelerationFrame, Accuracy, AddedMass, EdgeContact, Forces, IntegrationPlan, Integrator,
+    IntegratorSettings, Mount, Panel, Parameters, PartFactors, Scene, Simulation, Tangent, Tolerance, Wrt,
+    choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_worker::reference::{bells, reference};
 
-use super::super::{Row, dot, norm, relative};
+use super::super::{ComparedQuantity, dot, norm, relative};
 
 /// A small scene on a fine clock, so that the error of integrals over instants is well below the tolerances.
 fn fine() -> (Scene, Vec<f64>, Forces) {
@@ -23,10 +24,10 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
 }
 
 /// All checks for each solver.
-pub fn rows(solvers: &[Solver], pool: &metasense_numerics::Pool) -> Vec<Row> {
+pub fn rows(solvers: &[IntegratorSettings], pool: &metasense_numerics::Pool) -> Vec<ComparedQuantity> {
     let mut rows = orders(pool);
-    rows.push(tape(Solver::new(Method::Nystrom6, Accuracy(1e-3)), 1e-3, pool));
-    rows.extend([1e-6, 1e-12].map(|t| tape(Solver::tsit5(Tolerance::both(t)), t, pool)));
+    rows.push(tape(IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-3)), 1e-3, pool));
+    rows.extend([1e-6, 1e-12].map(|t| tape(IntegratorSettings::tsit5(Tolerance::both(t)), t, pool)));
     for &solver in solvers {
         rows.push(balance(solver, pool));
         rows.push(taylor(solver, pool));
@@ -48,37 +49,44 @@ fn short() -> (Scene, Vec<f64>, Forces) {
 
 /// Order of convergence of each equal-step method, from n and 2n steps per interval against a far finer run, with light and heavy
 /// damping (the drift integrates damping exactly); of Tsit5, from the steps at two tolerances.
-fn orders(pool: &metasense_numerics::Pool) -> Vec<Row> {
+fn orders(pool: &metasense_numerics::Pool) -> Vec<ComparedQuantity> {
     let (light, design, forces) = short();
     let solve = |scene: &Scene, plan| run(scene, &design, &forces, &plan, false, pool);
     let mut rows = Vec::new();
     for scene in [light.clone(), Scene { damping_ratio: 1.0, ..light.clone() }] {
-        let truth = solve(&scene, Plan::equal(Method::Nystrom6, 120)).signals;
-        for (method, order, steps) in
-            [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 16)]
-        {
-            let [coarse, fine] =
-                [steps, 2 * steps].map(|n| relative(&solve(&scene, Plan::equal(method, n)).signals, &truth));
+        let truth = solve(&scene, IntegrationPlan::equal(Integrator::Nystrom6, 120)).signals;
+        for (method, order, steps) in [
+            (Integrator::Leapfrog, 2.0, 64),
+            (Integrator::Nystrom4, 4.0, 36),
+            (Integrator::Nystrom6, 6.0, 16),
+        ] {
+            let [coarse, fine] = [steps, 2 * steps]
+                .map(|n| relative(&solve(&scene, IntegrationPlan::equal(method, n)).signals, &truth));
             rows.push(order_row(method, scene.damping_ratio, order, (coarse / fine).log2()));
         }
         if scene == light {
-            let [coarse, fine] = [1e-8, 1e-11].map(|t| solve(&scene, Plan::tsit5(Tolerance::both(t))));
+            let [coarse, fine] =
+                [1e-8, 1e-11].map(|t| solve(&scene, IntegrationPlan::tsit5(Tolerance::both(t))));
             let ratio = |f: &dyn Fn(&Simulation) -> f64| (f(&coarse) / f(&fine)).ln();
             let steps = -ratio(&|s| s.counters.steps as f64);
             let seen = ratio(&|s| relative(&s.signals, &truth)) / steps;
-            rows.push(order_row(Method::Tsit5, scene.damping_ratio, 5.0, seen));
+            rows.push(order_row(Integrator::Tsit5, scene.damping_ratio, 5.0, seen));
         }
     }
     rows
 }
 
-fn order_row(method: Method, damping: f64, order: f64, seen: f64) -> Row {
-    Row::new(format!("order {order} of {}, ζ = {damping}", method.name()), (seen - order).abs(), 0.8)
-        .noted(format!("{seen:.2}"))
+fn order_row(method: Integrator, damping: f64, order: f64, seen: f64) -> ComparedQuantity {
+    ComparedQuantity::new(
+        format!("order {order} of {}, ζ = {damping}", method.name()),
+        (seen - order).abs(),
+        0.8,
+    )
+    .noted(format!("{seen:.2}"))
 }
 
 /// |Work − energy − dissipation|, relative to the greatest energy; integrals by Simpson's rule over the instants.
-fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
+fn balance(solver: IntegratorSettings, pool: &metasense_numerics::Pool) -> ComparedQuantity {
     let (mut scene, design, _) = fine();
     (scene.duration, scene.instants) = (0.25, 20_000);
     // A smooth blow from 0 to 0.2 s on both panels; kinks between instants would lower the order of Simpson's rule.
@@ -87,7 +95,7 @@ fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let forces = Forces { samples: 1, panels: 2, instants: 20_000, values, strikes: Vec::new() };
     let run = simulate(&scene, &design, &forces, &solver, true, pool);
     let name = format!("energy balance, {}", solver.method.name());
-    let Some(tape) = run.tape else { return Row::failed(name) };
+    let Some(tape) = run.tape else { return ComparedQuantity::failed(name) };
     let geometry = scene.geometry(&design);
     let c = damping(&scene);
     let dt = scene.duration / scene.instants as f64;
@@ -116,11 +124,11 @@ fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
         _ => 2.0,
     };
     let work: f64 = powers.iter().enumerate().map(|(n, p)| simpson(n) * p).sum::<f64>() * dt / 3.0;
-    Row::new(name, (work - last).abs() / greatest, 1e-6)
+    ComparedQuantity::new(name, (work - last).abs() / greatest, 1e-6)
 }
 
 /// |J(α + εδ) − J(α) − ε g·δ| must decrease with slope 2; the row shows the deviation of the slope.
-fn taylor(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
+fn taylor(solver: IntegratorSettings, pool: &metasense_numerics::Pool) -> ComparedQuantity {
     let (scene, design, forces) = fine();
     let name = format!("Taylor test of dα, slope 2, {}", solver.method.name());
     let mut stream = Stream::new(Purpose::Design, 5, [0, 0]);
@@ -138,17 +146,17 @@ fn taylor(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let r = [0.04, 0.02, 0.01].map(remainder);
     let slopes = [(r[0] / r[1]).log2(), (r[1] / r[2]).log2()];
     let off = (slopes[0] - 2.0).abs().max((slopes[1] - 2.0).abs());
-    Row::new(name, if slope == 0.0 { f64::NAN } else { off }, 0.1)
+    ComparedQuantity::new(name, if slope == 0.0 { f64::NAN } else { off }, 0.1)
         .noted(format!("slopes {:.3} {:.3}", slopes[0], slopes[1]))
 }
 
 /// As `taylor`, along each parameter relative to its value, with fixed steps; the row shows the slope farthest from 2.
-fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
+fn taylor_parameters(solver: IntegratorSettings, pool: &metasense_numerics::Pool) -> ComparedQuantity {
     let (scene, design, forces) = short();
     let name = format!("Taylor tests of the parameters, slope 2, {}", solver.method.name());
     // Changes of adaptive steps between values would mask the remainder.
     let plan = match solver.method {
-        Method::Tsit5 => Plan::tsit5(Tolerance::both(1e-11)),
+        Integrator::Tsit5 => IntegrationPlan::tsit5(Tolerance::both(1e-11)),
         _ => choose(&scene, &design, &solver),
     };
     let simulation = run(&scene, &design, &forces, &plan, true, pool);
@@ -159,7 +167,7 @@ fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let gradient = simulation.vjp(&cotangent, Wrt::Parameters, pool);
     let at = Parameters::of(&scene).array();
     let Some(gradient) = gradient.parameters.map(Parameters::array) else {
-        return Row::failed(name);
+        return ComparedQuantity::failed(name);
     };
     let slopes: Vec<f64> = (0..5)
         .flat_map(|k| {
@@ -177,7 +185,8 @@ fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
         .collect();
     let farthest = |far: f64, s: &f64| if (s - 2.0).abs() <= (far - 2.0).abs() { far } else { *s };
     let farthest = slopes.iter().fold(2.0, farthest);
-    Row::new(name, (farthest - 2.0).abs(), 0.1).noted(format!("{farthest:.3} of stretch … density"))
+    ComparedQuantity::new(name, (farthest - 2.0).abs(), 0.1)
+        .noted(format!("{farthest:.3} of stretch … density"))
 }
 
 /// The scene without clamps, with given damping, the masses of one design, and units of another density.
@@ -195,22 +204,26 @@ fn loose(base: &Scene) -> Scene {
 
 /// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩ with J v from a simple program with dual numbers, and the signals of that program; the worst over scenes
 /// of every kind.
-fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
+fn transpose(solver: IntegratorSettings, pool: &metasense_numerics::Pool) -> Vec<ComparedQuantity> {
     let (base, design, blow) = short();
-    let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
+    let contact = Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let scenes = [
         ("plain", base.clone(), 1),
         ("forces twice as fine", base.clone(), 2),
-        ("contact, body frame", Scene { frame: Frame::Body, contact, ..base.clone() }, 1),
-        ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }, 1),
+        ("contact, body frame", Scene { frame: AccelerationFrame::Body, contact, ..base.clone() }, 1),
+        (
+            "linearised, body frame",
+            Scene { linearised: true, frame: AccelerationFrame::Body, ..base.clone() },
+            1,
+        ),
         ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }, 1),
         ("heavily damped", Scene { damping_ratio: 0.5, ..base.clone() }, 1),
-        ("with a chip", Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..base.clone() }, 1),
+        ("with a chip", Scene { chip: Some(AddedMass { mass: 3e-6, moment: 1e-4 }), ..base.clone() }, 1),
         (
             "chips off the centroid",
             Scene {
                 mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }),
-                frame: Frame::Body,
+                frame: AccelerationFrame::Body,
                 ..base.clone()
             },
             1,
@@ -222,8 +235,8 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let count = scenes.len();
     let mut stream = Stream::new(Purpose::Design, 6, [0, 0]);
     let solver = match solver.method {
-        Method::Tsit5 => Solver::tsit5(Tolerance::both(1e-7)),
-        method => Solver::new(method, Accuracy(solver.accuracy.0.max(1e-7))),
+        Integrator::Tsit5 => IntegratorSettings::tsit5(Tolerance::both(1e-7)),
+        method => IntegratorSettings::new(method, Accuracy(solver.accuracy.0.max(1e-7))),
     };
     let mut worst = [("", 0.0); 4];
     for (name, scene, kinks) in scenes {
@@ -269,7 +282,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let whats = ["", " in the parameters", " in the forces"].map(|at| format!("⟨w, J v⟩ = ⟨Jᵀ w, v⟩{at}"));
     let whats = whats.into_iter().chain(["signals by a plain program".into()]);
     let row = |(what, (scene, apart))| {
-        Row::new(format!("{what}, {}", solver.method.name()), apart, 1e-11)
+        ComparedQuantity::new(format!("{what}, {}", solver.method.name()), apart, 1e-11)
             .noted(format!("at most, in {count} scenes: {scene}"))
     };
     whats.zip(worst).map(row).collect()
@@ -287,7 +300,7 @@ fn scattered(layout: &Layout) -> PartFactors {
 
 /// Memory of the gradient of 300 samples of the reference scene (MB): states at the instants and, for adaptive steps, a count per
 /// interval and one or two bytes per step.
-fn tape(solver: Solver, asked: f64, pool: &metasense_numerics::Pool) -> Row {
+fn tape(solver: IntegratorSettings, asked: f64, pool: &metasense_numerics::Pool) -> ComparedQuantity {
     let scene = reference();
     let design = scene.layout.initial_design(25f64.to_radians());
     let run = simulate(&scene, &design, &bells(&scene, 2), &solver, true, pool);
@@ -295,16 +308,16 @@ fn tape(solver: Solver, asked: f64, pool: &metasense_numerics::Pool) -> Row {
     let (states, steps) = (scene.instants * 6 * 30 * 8 * 2, run.counters.steps as usize);
     let rest = bytes.wrapping_sub(states);
     let as_it_should = match solver.method {
-        Method::Tsit5 => (steps..=2 * steps).contains(&rest.wrapping_sub(2 * 4 * scene.instants)),
+        Integrator::Tsit5 => (steps..=2 * steps).contains(&rest.wrapping_sub(2 * 4 * scene.instants)),
         _ => rest == 0,
     };
     let name = format!("MB of tape for 300 samples, {} at {asked:.0e}", solver.method.name());
     let megabytes = if as_it_should { bytes as f64 * 150e-6 } else { f64::NAN };
-    Row::new(name, megabytes, 200.0).noted(format!("{rest} of {bytes} bytes for {steps} steps"))
+    ComparedQuantity::new(name, megabytes, 200.0).noted(format!("{rest} of {bytes} bytes for {steps} steps"))
 }
 
 /// One and three threads give the same bits of signals and dα; a sample alone gives the same bits of its signals.
-fn threads(solver: Solver) -> Row {
+fn threads(solver: IntegratorSettings) -> ComparedQuantity {
     let mut scene = reference();
     let design = scene.layout.initial_design(25f64.to_radians());
     let forces = bells(&scene, 10);
@@ -320,5 +333,9 @@ fn threads(solver: Solver) -> Row {
     let per_sample = one.0.len() / 10;
     let same = one == three && alone == one.0[7 * per_sample..8 * per_sample];
     let error = if same { 0.0 } else { relative(&three.0, &one.0).max(f64::MIN_POSITIVE) };
-    Row::new(format!("bits on 1 and 3 threads and of a sample alone, {}", solver.method.name()), error, 0.0)
+    ComparedQuantity::new(
+        format!("bits on 1 and 3 threads and of a sample alone, {}", solver.method.name()),
+        error,
+        0.0,
+    )
 }

@@ -2,12 +2,13 @@
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Contact, Forces, Outcome, Panel, Scene, Solver, Tolerance, Wrt, run, signal_error, simulate, tune,
+    EdgeContact, Forces, IntegratorSettings, Outcome, Panel, Scene, Tolerance, Wrt, run, signal_error,
+    simulate, tune,
 };
 use metasense_worker::reference::{bells, reference};
 
 use super::super::body::LEEWAY;
-use super::super::{Row, norm};
+use super::super::{ComparedQuantity, norm};
 
 /// A scene with two seeded bell samples, or with other forces.
 struct Extreme {
@@ -140,7 +141,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
             "contact at its limit",
             with(|e| {
                 e.scene.contact =
-                    Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 5f64.to_radians() });
+                    Some(EdgeContact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 5f64.to_radians() });
                 e.forces.values.iter_mut().for_each(|f| *f *= 3.0);
             }),
         ),
@@ -148,7 +149,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
             "voids closed at rest",
             with(|e| {
                 let [min_angle, cutoff_angle] = [60.0, 65.0].map(f64::to_radians);
-                e.scene.contact = Some(Contact { stiffness: 1.0, min_angle, cutoff_angle });
+                e.scene.contact = Some(EdgeContact { stiffness: 1.0, min_angle, cutoff_angle });
                 e.expected = Outcome::ForbiddenContact;
             }),
         ),
@@ -185,18 +186,23 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
 }
 
 /// One row per scene: error of the signals at default settings against a tight run, if affordable.
-pub fn rows(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
+pub fn rows(solver: IntegratorSettings, pool: &metasense_numerics::Pool) -> Vec<ComparedQuantity> {
     scenes()
         .into_iter()
         .map(|(name, extreme)| {
             let run = || examine(name, &extreme, solver, pool);
             std::panic::catch_unwind(std::panic::AssertUnwindSafe(run))
-                .unwrap_or_else(|_| Row::failed(name).noted("panicked"))
+                .unwrap_or_else(|_| ComparedQuantity::failed(name).noted("panicked"))
         })
         .collect()
 }
 
-fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numerics::Pool) -> Row {
+fn examine(
+    name: &str,
+    extreme: &Extreme,
+    solver: IntegratorSettings,
+    pool: &metasense_numerics::Pool,
+) -> ComparedQuantity {
     let Extreme { scene, design, forces, .. } = extreme;
     let started = std::time::Instant::now();
     let tuned = tune(scene, design, forces, &solver, pool);
@@ -217,22 +223,22 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numer
         tuned.counters.force_evaluations,
     );
     let row = if !finite || !ended {
-        Row::failed(name)
+        ComparedQuantity::failed(name)
     } else if extreme.judged && run.outcomes.iter().all(|o| *o == Outcome::Ok) {
         if forces.values.iter().all(|f| *f == 0.0) {
-            return Row::new(name, scale, 1e-6).noted(format!("norm of the signals; {note}"));
+            return ComparedQuantity::new(name, scale, 1e-6).noted(format!("norm of the signals; {note}"));
         }
         // At T = 2, the absolute part of a wider tolerance would exceed the remaining vibration.
         let tolerance = if scene.instants > 2 { 1e-9 } else { 1e-13 };
-        let tight = Solver::tsit5(Tolerance::both(tolerance));
+        let tight = IntegratorSettings::tsit5(Tolerance::both(tolerance));
         let exact = simulate(scene, design, forces, &tight, false, pool);
         let error = signal_error(&run.signals, &exact.signals, 3 * scene.sensors.len());
         match tuned.error {
-            Some(_) => Row::new(name, error, LEEWAY * solver.accuracy.0),
-            None => Row::shown(name, error),
+            Some(_) => ComparedQuantity::new(name, error, LEEWAY * solver.accuracy.0),
+            None => ComparedQuantity::shown(name, error),
         }
     } else {
-        Row { error: None, tolerance: None, pass: true, ..Row::new(name, 0.0, 0.0) }
+        ComparedQuantity { error: None, tolerance: None, pass: true, ..ComparedQuantity::new(name, 0.0, 0.0) }
     };
     let source = if extreme.source.is_empty() { String::new() } else { format!("; {}", extreme.source) };
     let expected = if ended { String::new() } else { format!("; {} was expected", extreme.expected.name()) };

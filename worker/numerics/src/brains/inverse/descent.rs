@@ -11,7 +11,7 @@ use super::prior::Prior;
 use crate::definite::{half_log, solve_with_floor};
 use crate::dynamics::Outcome;
 use crate::identify::{Ending, GoOn};
-use crate::trial::{Counters, Trial};
+use crate::trial::{Counters, PreparedTrial};
 use faer::{Col, Mat, Scale};
 use rayon::prelude::*;
 
@@ -46,7 +46,7 @@ pub(super) struct Noise {
 
 impl Noise {
     /// Noise of the trial's chips, rounding included, but at least `left`, a twin's residual per channel.
-    pub(super) fn of(trial: &Trial, left: &[f64]) -> Self {
+    pub(super) fn of(trial: &PreparedTrial, left: &[f64]) -> Self {
         let rms = &trial.scales.channels;
         let zeros = || vec![0.0; rms.len()];
         let (white, bias) = match &trial.chip {

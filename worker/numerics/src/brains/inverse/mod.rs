@@ -12,10 +12,10 @@ mod prior;
 
 use super::Fitted;
 use crate::definite::solve_with_floor;
-use crate::dynamics::{Forces, Solver};
+use crate::dynamics::{Forces, IntegratorSettings};
 use crate::identify::{Ending, GoOn, Twin};
 use crate::random::Purpose;
-use crate::trial::{Counters, DesignWithSolver, Failure, Problem, Samples, Trial, Trouble};
+use crate::trial::{Counters, DesignWithSolver, Failure, PreparedTrial, Problem, Samples, Trouble};
 use descent::{Descent, Noise, Start};
 use faer::Mat;
 use model::Model;
@@ -65,7 +65,7 @@ impl Estimate {
 
 /// An inverse decoder.
 pub struct Inverse<'a> {
-    trial: &'a Trial<'a>,
+    trial: &'a PreparedTrial<'a>,
     model: Model<'a>,
     guesses: Vec<Hypothesis>,
     noise: Noise,
@@ -103,9 +103,9 @@ impl<'a> Inverse<'a> {
     /// # Errors
     /// If the linear decoder has no solution, or all force histories are equal.
     pub fn new(
-        trial: &'a Trial<'a>,
+        trial: &'a PreparedTrial<'a>,
         design: &[f64],
-        solver: &Solver,
+        solver: &IntegratorSettings,
         twin: Option<&Twin>,
         known: &Samples,
     ) -> Result<Self, Trouble> {
@@ -139,7 +139,7 @@ impl<'a> Inverse<'a> {
     ///
     /// # Errors
     /// As [`Inverse::new`], or if too many of those samples fail.
-    pub fn of(trial: &'a Trial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
+    pub fn of(trial: &'a PreparedTrial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
         let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.training_and_test());
         let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
         let known = DesignWithSolver { trial, design, solver: &solver }.samples(cast, train, &mut counters);

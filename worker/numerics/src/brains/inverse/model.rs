@@ -1,7 +1,9 @@
 //! Model of a body: its design, or a calibrated cast of it.
 
-use crate::dynamics::{Accuracy, Forces, Method, Plan, Scene, Simulation, Solver, Wrt, planned, run};
-use crate::trial::{Counters, Problem, Trial};
+use crate::dynamics::{
+    Accuracy, Forces, IntegrationPlan, Integrator, IntegratorSettings, Scene, Simulation, Wrt, planned, run,
+};
+use crate::trial::{Counters, PreparedTrial, Problem};
 use crate::variation::{Cast, Chips};
 
 /// A model of a body.
@@ -12,9 +14,9 @@ pub(super) struct Model<'a> {
     design: Vec<f64>,
     chips: Chips,
     /// Steps of simulations that are compared with readings.
-    plan: Plan,
+    plan: IntegrationPlan,
     /// Steps of differences.
-    coarse: Plan,
+    coarse: IntegrationPlan,
 }
 
 /// Tolerance of the steps of differences, relative to that of signals.
@@ -24,7 +26,12 @@ const COARSEST: Accuracy = Accuracy(0.05);
 
 impl<'a> Model<'a> {
     /// Model of a design, simulated with the solver tuned on it, or of a cast of it.
-    pub(super) fn new(trial: &'a Trial<'a>, design: &[f64], solver: &Solver, cast: Option<&Cast>) -> Self {
+    pub(super) fn new(
+        trial: &'a PreparedTrial<'a>,
+        design: &[f64],
+        solver: &IntegratorSettings,
+        cast: Option<&Cast>,
+    ) -> Self {
         let (problem, pool) = (&trial.problem, trial.pool);
         let (scene, design, chips) = match cast {
             Some(cast) => (cast.scene(&problem.scene), cast.design(design), cast.chips.clone()),
@@ -33,7 +40,7 @@ impl<'a> Model<'a> {
         let [plan, coarse] = {
             let (moving, forces) = problem.in_motion(&scene, &trial.train);
             let accuracy = Accuracy(COARSE * solver.accuracy.0).min(COARSEST);
-            let coarse = Solver { method: Method::Auto, accuracy, ..*solver };
+            let coarse = IntegratorSettings { method: Integrator::Auto, accuracy, ..*solver };
             [solver.in_equal_steps(), coarse].map(|solver| planned(&moving, &design, &forces, &solver))
         };
         Self { problem, pool, scene, design, chips, plan: plan.double(), coarse: coarse.double() }
@@ -58,7 +65,7 @@ impl<'a> Model<'a> {
         &self,
         forces: &Forces,
         n: usize,
-        plan: &Plan,
+        plan: &IntegrationPlan,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> (Simulation, Vec<f64>) {

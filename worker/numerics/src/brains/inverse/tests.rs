@@ -5,17 +5,17 @@ use super::*;
 use crate::brain::linear::Lags;
 use crate::nested::tests::{GOING, small};
 use crate::random::Draw;
-use crate::stimuli::{Irregular, Source};
-use crate::trial::{Decoder, Disturbance, Protocol, Size, Stimuli};
+use crate::stimuli::{HistorySource, Irregular};
+use crate::trial::{ChipErrors, Decoder, ForceSets, Size, TrainingProtocol};
 
 fn problem() -> Problem {
     let noise = Size::Relative(0.03);
-    let disturbance = Some(Disturbance { noise, ..Disturbance::NONE });
-    Problem { disturbance, ..small(Protocol::Joint(GOING)) }
+    let disturbance = Some(ChipErrors { noise, ..ChipErrors::NONE });
+    Problem { disturbance, ..small(TrainingProtocol::Joint(GOING)) }
 }
 
 /// The decoder of the initial body, with a prior from this many histories.
-fn brain<'a>(trial: &'a Trial<'a>, histories: usize) -> Inverse<'a> {
+fn brain<'a>(trial: &'a PreparedTrial<'a>, histories: usize) -> Inverse<'a> {
     let problem = &trial.problem;
     let brain =
         Inverse::new(trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
@@ -30,7 +30,7 @@ fn normal(draw: &mut Draw, count: usize) -> Vec<f64> {
 #[test]
 fn slopes_are_those_of_phi() {
     let plain = problem();
-    let chips = Disturbance {
+    let chips = ChipErrors {
         bias: Size::Relative(0.1),
         bandwidth: 60.0,
         delay: 0.007,
@@ -39,7 +39,7 @@ fn slopes_are_those_of_phi() {
     let filtered = Problem { disturbance: Some(chips), channels: vec![0, 2], ..plain.clone() };
     let pool = crate::Pool::new(2).expect("threads");
     for (problem, n) in [(plain, 40), (filtered.clone(), 40), (filtered, 13)] {
-        let trial = Trial::new(&problem, &pool).expect("a trial");
+        let trial = PreparedTrial::new(&problem, &pool).expect("a trial");
         let brain = brain(&trial, 20);
         let readings =
             trial.initial.signals.chunks_exact(40 * brain.noise.channels()).next().expect("a sample");
@@ -70,7 +70,7 @@ fn slopes_are_those_of_phi() {
 #[test]
 fn bands_cover_what_is_drawn_from_the_prior() {
     let pool = crate::Pool::new(2).expect("threads");
-    let trial = Trial::new(&problem(), &pool).expect("a trial");
+    let trial = PreparedTrial::new(&problem(), &pool).expect("a trial");
     let problem = &trial.problem;
     let mut brain = brain(&trial, 40);
     let mut draw = Draw::numbered(5, 1);
@@ -99,7 +99,7 @@ fn bands_cover_what_is_drawn_from_the_prior() {
 fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
     let found = [1, 3].map(|threads| {
         let pool = crate::Pool::new(threads).expect("threads");
-        let trial = Trial::new(&problem(), &pool).expect("a trial");
+        let trial = PreparedTrial::new(&problem(), &pool).expect("a trial");
         let problem = &trial.problem;
         let mut brain =
             Inverse::new(&trial, &problem.initial, &problem.solver, None, &trial.initial).expect("a brain");
@@ -122,14 +122,14 @@ fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
 #[test]
 fn blows_are_read_on_the_panel_that_they_strike() {
     let plain = problem();
-    let Source::Bell(bell) = plain.stimuli.source.clone() else { panic!("pulses") };
+    let HistorySource::Bell(bell) = plain.stimuli.source.clone() else { panic!("pulses") };
     let kind = Irregular { bell, roughness: [0.1, 0.2], double: 0.3, gap: [0.01, 0.02], rebound: [0.2, 0.5] };
-    let stimuli = Stimuli { source: Source::Irregular(kind), ..plain.stimuli.clone() };
+    let stimuli = ForceSets { source: HistorySource::Irregular(kind), ..plain.stimuli.clone() };
     let pool = crate::Pool::new(2).expect("threads");
     for after in [39, 4] {
         let decoder = Decoder { lags: Lags { before: 39, after }, ..plain.decoder };
         let problem = Problem { stimuli: stimuli.clone(), decoder, ..plain.clone() };
-        let trial = Trial::new(&problem, &pool).expect("a trial");
+        let trial = PreparedTrial::new(&problem, &pool).expect("a trial");
         let brain = || Inverse::of(&trial, &problem.initial, None).expect("a brain");
         let [mut own, mut all] = [brain(), brain()];
         assert_eq!(own.guesses.iter().map(|guess| guess.prior.struck()).collect::<Vec<_>>(), [[0], [1]]);
@@ -161,7 +161,7 @@ fn what_comes_too_late_is_not_looked_at() {
     let read = |after: usize, cut: Option<usize>| {
         let lags = Lags { before: 39, after };
         let problem = Problem { decoder: Decoder { lags, ..problem().decoder }, ..problem() };
-        let trial = Trial::new(&problem, &pool).expect("a trial");
+        let trial = PreparedTrial::new(&problem, &pool).expect("a trial");
         let mut brain = brain(&trial, 40);
         let mut draw = Draw::numbered(5, 2);
         let drawn: Vec<Vec<f64>> =
@@ -213,7 +213,7 @@ fn what_comes_too_late_is_not_looked_at() {
 #[test]
 fn what_cannot_be_inverted_is_named() {
     let pool = crate::Pool::new(1).expect("a thread");
-    let trial = Trial::new(&problem(), &pool).expect("a trial");
+    let trial = PreparedTrial::new(&problem(), &pool).expect("a trial");
     let mut brain = brain(&trial, 20);
     let forces = trial.problem.forces(Purpose::Fresh, 0, 1);
     assert!(Prior::new(&forces.select(&[0, 0])).is_some_and(|prior| prior.unknowns() > 0));
@@ -233,9 +233,9 @@ fn what_cannot_be_inverted_is_named() {
 /// Without noise, the curvature exceeds double precision: its eigenvalues are raised to 1, and no sample causes a panic.
 #[test]
 fn a_curvature_beyond_rounding_is_solved() {
-    let exact = small(Protocol::Joint(GOING));
+    let exact = small(TrainingProtocol::Joint(GOING));
     let pool = crate::Pool::new(2).expect("threads");
-    let trial = Trial::new(&exact, &pool).expect("a trial");
+    let trial = PreparedTrial::new(&exact, &pool).expect("a trial");
     let mut brain = brain(&trial, 20);
     let samples = trial.initial.signals.len() / 4;
     let found = brain.read(&trial.initial.signals[..samples]);

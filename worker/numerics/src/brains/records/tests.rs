@@ -2,7 +2,7 @@ use super::*;
 use crate::brain::Architecture;
 use crate::random::{Purpose, Stream};
 use crate::stimuli::folds;
-use crate::trial::{BrainKind, Decoder, Schedule};
+use crate::trial::{Decoder, DecoderKind, RateSchedule};
 
 /// One record has false signals: a decoder that was fitted to it reproduces its forces, the decoder of its own fold does not.
 #[test]
@@ -24,16 +24,16 @@ fn a_fold_s_network_has_not_seen_its_records() {
     let dealt = folds(1, samples, 4);
     let inside: Vec<usize> = (0..samples).filter(|&i| dealt[i] == dealt[0]).collect();
     let inside_of = |record: usize| inside.iter().position(|&i| i == record).unwrap();
-    let (decoder, schedule) = (Decoder::whole(instants, 3), Schedule::Cosine);
+    let (decoder, schedule) = (Decoder::whole(instants, 3), RateSchedule::Cosine);
     let by = |kind, fold: usize| {
         let recipe = Recipe { kind, architecture, rate: 1e-2, schedule, batch: None, decoder, seed: 1 };
         let (unseen, known): (Vec<usize>, Vec<usize>) = (0..samples).partition(|&i| dealt[i] == fold);
         let [unseen, known] = [unseen, known].map(|numbers| records.select(&numbers));
         HeldOutEstimates::of(&known, &unseen, recipe, 0, 150, &pool)
     };
-    let fold = |fold| by(BrainKind::Network, fold);
-    let linear = |fold| by(BrainKind::Linear, fold);
-    let stacked = |fold| by(BrainKind::Stacked, fold);
+    let fold = |fold| by(DecoderKind::Network, fold);
+    let linear = |fold| by(DecoderKind::Linear, fold);
+    let stacked = |fold| by(DecoderKind::Stacked, fold);
     assert!(stacked(dealt[0]).errors[inside_of(0)].unwrap() > 50.0);
     let read = [fold(dealt[0]), linear(dealt[0])];
     let seen = [fold((dealt[0] + 1) % 4), linear((dealt[0] + 1) % 4)];

@@ -5,7 +5,7 @@
 //! ```
 //! 1/β is the temperature of Guo et al. (ICML 2017). The target of a true class is 1 − 1/(N + 2) (Platt 1999), so β is finite.
 
-use super::{Labels, Readout, Task, TaskFit};
+use super::{Labels, Readout, SensingTask, TaskFit};
 
 /// Range of β, and number of its halvings.
 const SHARPNESS: [f64; 2] = [1e-3, 1e3];
@@ -66,11 +66,11 @@ impl Readout {
     /// training records.
     pub(super) fn calibrations(
         &self,
-        known: &[(Task, Labels)],
+        known: &[(SensingTask, Labels)],
         signals: &[f64],
         truth: &[Labels],
     ) -> Vec<Option<Calibration>> {
-        let of = |((fit, (task, known)), truth): ((&TaskFit, &(Task, Labels)), &Labels)| {
+        let of = |((fit, (task, known)), truth): ((&TaskFit, &(SensingTask, Labels)), &Labels)| {
             let sharpness = task.is_class().then(|| fit.sharpness(known))?;
             let outputs = self.basis.predict(&fit.outputs, signals);
             let probabilities: Vec<Vec<f64>> =

@@ -6,12 +6,12 @@
 
 use super::network::Network;
 use super::window::{Window, shifted};
-use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, Task, classes};
+use super::{Calibration, Labeller, Labels, RECORDS_MIN, Readout, SensingTask, classes};
 use crate::Pool;
 use crate::brain::linear::Sizes;
 use crate::brain::prediction_error;
 use crate::student::student;
-use crate::trial::{Decoder, Samples, Trial, Trouble, pick};
+use crate::trial::{Decoder, PreparedTrial, Samples, Trouble, pick};
 
 /// Result of a task.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -55,7 +55,7 @@ struct Observations {
 
 impl Observations {
     /// Labels of these forces (N, T, K) for a task.
-    fn labels(&self, labeller: &Labeller, task: Task, forces: &[f64]) -> Labels {
+    fn labels(&self, labeller: &Labeller, task: SensingTask, forces: &[f64]) -> Labels {
         let samples = forces.chunks_exact(forces.len() / self.parts.len()).zip(&self.parts);
         samples.map(|(own, part)| labeller.label(task, own, *part)).collect()
     }
@@ -65,7 +65,7 @@ impl Observations {
 struct Fits<'a> {
     labeller: &'a Labeller,
     /// Labels of the training samples, by task.
-    known: Vec<(Task, Labels)>,
+    known: Vec<(SensingTask, Labels)>,
     readout: Option<Readout>,
     /// The window of networks, and one network per task.
     networks: Option<(&'a Window, Vec<Network>)>,
@@ -80,16 +80,16 @@ impl<'a> Fits<'a> {
         networks: Option<(&'a Window, u64, &Pool)>,
     ) -> Self {
         let varied = labeller.varied(&known.forces, &known.parts, instants).into_iter();
-        let labels: Vec<(Task, Labels)> =
+        let labels: Vec<(SensingTask, Labels)> =
             varied.map(|task| (task, known.labels(labeller, task, &known.forces))).collect();
-        let move_back = |(task, labels): &(Task, Labels)| {
+        let move_back = |(task, labels): &(SensingTask, Labels)| {
             (*task, shifted(*task, labels.clone(), &known.starts, labeller.interval, -1.0))
         };
-        let in_window: Vec<(Task, Labels)> = labels.iter().map(move_back).collect();
+        let in_window: Vec<(SensingTask, Labels)> = labels.iter().map(move_back).collect();
         let readout = (!labels.is_empty()).then(|| Readout::new(&known.signals, &in_window));
         let train = |(window, seed, pool): (&'a Window, u64, &Pool)| {
             let sums = window.sums(&known.signals);
-            let one = |(task, labels): &(Task, Labels)| {
+            let one = |(task, labels): &(SensingTask, Labels)| {
                 pool.heartbeat().beat();
                 Network::new(seed, *task, &sums, labels)
             };
@@ -131,7 +131,7 @@ impl<'a> Fits<'a> {
 /// # Errors
 /// If training or held-out samples with force are too few, or the linear decoder has no solution.
 pub(crate) fn task_estimates(
-    trial: &Trial,
+    trial: &PreparedTrial,
     sets: &[Samples; 3],
     casts: impl Iterator<Item = Result<Samples, Trouble>>,
 ) -> Result<Vec<TaskEstimate>, Trouble> {
@@ -174,7 +174,7 @@ pub(crate) fn task_estimates(
 fn tasks(fits: &Fits, test: &Observations, decoded: &[f64]) -> Vec<TaskEstimate> {
     let labeller = fits.labeller;
     let mut found = vec![of_forces(&test.forces, decoded, labeller, test.parts.len())];
-    let struck = test.labels(labeller, Task::Panel, &test.forces);
+    let struck = test.labels(labeller, SensingTask::Panel, &test.forces);
     let truths: Vec<Labels> =
         fits.known.iter().map(|(task, _)| test.labels(labeller, *task, &test.forces)).collect();
     let from_signals = fits.estimates(test, &truths);
@@ -183,13 +183,13 @@ fn tasks(fits: &Fits, test: &Observations, decoded: &[f64]) -> Vec<TaskEstimate>
         let decoded = test.labels(labeller, task, decoded);
         let trivial = error_of(task, truth, &vec![trivial(task, known); truth.len()]);
         // forces do not determine the part that generated them
-        let decoded = (task != Task::Kind).then_some(("decoded", decoded, None));
+        let decoded = (task != SensingTask::Kind).then_some(("decoded", decoded, None));
         for (readout, estimated, calibration) in read.into_iter().chain(decoded) {
             let Score { error, interval, score } = Score::of(task, truth, &estimated);
             let least = match task {
-                Task::Panel | Task::Count | Task::Kind => 50.0 / truth.len() as f64,
-                Task::Onset => 500.0 * labeller.interval / truth.len() as f64,
-                Task::Position | Task::Peak | Task::Impulse => 0.0,
+                SensingTask::Panel | SensingTask::Count | SensingTask::Kind => 50.0 / truth.len() as f64,
+                SensingTask::Onset => 500.0 * labeller.interval / truth.len() as f64,
+                SensingTask::Position | SensingTask::Peak | SensingTask::Impulse => 0.0,
             };
             let detail = detail(task, truth, &estimated, &struck);
             let (task, samples) = (task.name(), truth.len());
@@ -212,14 +212,14 @@ fn tasks(fits: &Fits, test: &Observations, decoded: &[f64]) -> Vec<TaskEstimate>
 }
 
 /// Confusion counts of classes, or the mean error of positions per struck panel, as in [`TaskEstimate::detail`].
-fn detail(task: Task, truth: &Labels, estimated: &Labels, struck: &Labels) -> Vec<[f64; 3]> {
+fn detail(task: SensingTask, truth: &Labels, estimated: &Labels, struck: &Labels) -> Vec<[f64; 3]> {
     let mut rows: Vec<[f64; 3]> = truth
         .iter()
         .zip(estimated)
         .zip(struck)
         .filter_map(|((truth, estimated), struck)| match task {
             _ if task.is_class() => Some([truth[0], estimated[0], 1.0]),
-            Task::Position => Some([struck[0], squares(truth, estimated).sqrt(), 1.0]),
+            SensingTask::Position => Some([struck[0], squares(truth, estimated).sqrt(), 1.0]),
             _ => None,
         })
         .collect();
@@ -258,12 +258,12 @@ fn of_forces(truth: &[f64], said: &[f64], labeller: &Labeller, samples: usize) -
 }
 
 /// Error of estimated labels in the task's unit.
-pub(super) fn error_of(task: Task, truth: &Labels, estimated: &Labels) -> f64 {
+pub(super) fn error_of(task: SensingTask, truth: &Labels, estimated: &Labels) -> f64 {
     Score::of(task, truth, estimated).error
 }
 
 /// Label without use of signals.
-fn trivial(task: Task, known: &Labels) -> Vec<f64> {
+fn trivial(task: SensingTask, known: &Labels) -> Vec<f64> {
     if task.is_class() {
         let count = |label: &&Vec<f64>| known.iter().filter(|other| other == label).count();
         return known.iter().max_by_key(count).expect("there are training samples").clone();
@@ -292,7 +292,7 @@ struct Score {
 impl Score {
     /// Compares estimated with true labels: Wilson's interval for classes, Student's t for values. The error of a position is a
     /// distance.
-    fn of(task: Task, truth: &Labels, found: &Labels) -> Self {
+    fn of(task: SensingTask, truth: &Labels, found: &Labels) -> Self {
         let n = truth.len() as f64;
         let pairs = || truth.iter().zip(found);
         if task.is_class() {
@@ -311,7 +311,7 @@ impl Score {
             return Self { error: 100.0 * error_rate, interval, score };
         }
         let error = |(a, b): (&Vec<f64>, &Vec<f64>)| match task {
-            Task::Position => squares(a, b).sqrt(),
+            SensingTask::Position => squares(a, b).sqrt(),
             _ => a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64,
         };
         let (error, interval) = mean(&pairs().map(error).collect::<Vec<_>>());

@@ -6,7 +6,7 @@
 //! Signals and values are scaled to mean 0 and deviation 1 over the training records. Full-batch Adam whose rate falls as a cosine.
 
 use super::calibration::{Calibration, calibration, softmax};
-use super::{Labels, Task, classes, greatest};
+use super::{Labels, SensingTask, classes, greatest};
 use crate::brain::{Adam, cosine};
 use crate::random::{Purpose, Stream};
 use nalgebra::{DMatrix, RowDVector};
@@ -51,7 +51,7 @@ pub(super) struct Network {
 
 impl Network {
     /// Trains a network on the signals (N, p) and labels of N records.
-    pub(super) fn new(seed: u64, task: Task, signals: &[f64], labels: &Labels) -> Self {
+    pub(super) fn new(seed: u64, task: SensingTask, signals: &[f64], labels: &Labels) -> Self {
         let (n, found) = (labels.len(), if task.is_class() { classes(labels) } else { Vec::new() });
         let x = DMatrix::from_row_slice(n, signals.len() / n, signals);
         let y = match found.is_empty() {

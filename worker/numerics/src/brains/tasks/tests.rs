@@ -23,18 +23,18 @@ fn forces(pulses: &[(usize, usize, f64)]) -> Vec<f64> {
 #[test]
 fn labels_are_what_the_forces_say() {
     let two = forces(&[(2, 4, 0.5), (0, 9, -2.0)]);
-    let label = |task: Task| labeller().label(task, &two, 1);
-    assert_eq!(label(Task::Panel), [0.0]);
-    assert_eq!(label(Task::Count), [2.0]);
-    assert_eq!(label(Task::Peak), [2.0, 0.0, 0.5]);
-    let impulse = label(Task::Impulse);
+    let label = |task: SensingTask| labeller().label(task, &two, 1);
+    assert_eq!(label(SensingTask::Panel), [0.0]);
+    assert_eq!(label(SensingTask::Count), [2.0]);
+    assert_eq!(label(SensingTask::Peak), [2.0, 0.0, 0.5]);
+    let impulse = label(SensingTask::Impulse);
     assert!((impulse[0] - 60.0).abs() < 1e-9 && impulse[1] == 0.0 && (impulse[2] - 15.0).abs() < 1e-9);
     // a fifth of the impulse acts 30 mm from the rest
-    let position = label(Task::Position);
+    let position = label(SensingTask::Position);
     assert!((position[0] - 6.0).abs() < 1e-9 && (position[1] - 5.0).abs() < 1e-9, "{position:?}");
-    assert_eq!(label(Task::Kind), [1.0]);
+    assert_eq!(label(SensingTask::Kind), [1.0]);
     // Instants are numbered from 1.
-    assert!((label(Task::Onset)[0] - 50.0).abs() < 1e-9);
+    assert!((label(SensingTask::Onset)[0] - 50.0).abs() < 1e-9);
 
     let all = [two, forces(&[]), forces(&[(2, 4, 0.5), (0, 11, -2.0)])].concat();
     let varied = |forces: &[f64], parts: &[usize]| labeller().varied(forces, parts, INSTANTS);
@@ -44,18 +44,21 @@ fn labels_are_what_the_forces_say() {
         "the first blow has the same instant, and the second sample no force"
     );
     let all = [all, forces(&[(1, 4, 1.0), (2, 6, 0.5)])].concat();
-    assert_eq!(varied(&all, &[0; 4]), [Task::Panel, Task::Position, Task::Peak, Task::Impulse]);
-    assert_eq!(varied(&all, &[0, 0, 0, 1]).last(), Some(&Task::Kind));
+    assert_eq!(
+        varied(&all, &[0; 4]),
+        [SensingTask::Panel, SensingTask::Position, SensingTask::Peak, SensingTask::Impulse]
+    );
+    assert_eq!(varied(&all, &[0, 0, 0, 1]).last(), Some(&SensingTask::Kind));
 }
 
 /// Signals (14, 9) and labels of two tasks that depend on them and on noise.
-fn records() -> (Vec<f64>, [(Task, Labels); 2]) {
+fn records() -> (Vec<f64>, [(SensingTask, Labels); 2]) {
     let mut stream = Stream::new(Purpose::Stimulus, 3, [0, 0]);
     let x: Vec<f64> = (0..14 * 9).map(|_| 2.0 + stream.normal()).collect();
     let mut label = |x: &[f64]| vec![x[0] - x[3] + 0.3 * stream.normal(), x[1] + 0.3 * stream.normal()];
     let peaks: Labels = x.chunks_exact(9).map(&mut label).collect();
     let panels = peaks.iter().map(|peaks| vec![f64::from(peaks[0] > 0.0)]).collect();
-    (x, [(Task::Peak, peaks), (Task::Panel, panels)])
+    (x, [(SensingTask::Peak, peaks), (SensingTask::Panel, panels)])
 }
 
 /// The residual of a record is its error by a fit to all others with the same λ.
@@ -99,7 +102,7 @@ fn probabilities_of_classes_are_calibrated() {
     };
     let mut read = |slope: f64| {
         let ((x, known, _), (tests, truth, best)) = (records(400, slope), records(2000, slope));
-        let tasks = [(Task::Panel, known)];
+        let tasks = [(SensingTask::Panel, known)];
         let readout = Readout::new(&x, &tasks);
         let of = |truth: Labels| readout.calibrations(&tasks, &tests, &[truth])[0].clone().unwrap();
         (of(truth.clone()), of(vec![vec![7.0]; truth.len()]), best)

@@ -1,14 +1,14 @@
 //! Readouts of the trial's tasks as weights of the signals, for a device.
 
 use super::estimates::error_of;
-use super::{Labelled, Labels, Readout, Task, greatest};
-use crate::trial::{Samples, Trial, Trouble, pick};
+use super::{Labelled, Labels, Readout, SensingTask, greatest};
+use crate::trial::{PreparedTrial, Samples, Trouble, pick};
 
 /// A readout as weights of sums of the signals over blocks of instants: output = constant + Σ weight · sum / scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReadoutWeights {
     /// The task.
-    pub task: Task,
+    pub task: SensingTask,
     /// Classes, ascending; empty for values.
     pub classes: Vec<f64>,
     /// Weights (blocks · channels) and constant per output. Two classes have one output, above 0 for the first.
@@ -71,7 +71,7 @@ pub struct TaskReadouts {
 ///
 /// # Errors
 /// If the training samples are too few or too similar.
-pub(crate) fn task_readouts(trial: &Trial, sets: &[Samples; 3]) -> Result<TaskReadouts, Trouble> {
+pub(crate) fn task_readouts(trial: &PreparedTrial, sets: &[Samples; 3]) -> Result<TaskReadouts, Trouble> {
     let [train, _, holdout] = trial.problem.parts();
     let known = Labelled::of(trial, &sets[0], &train);
     let sums = known.window.sums(&known.signals);

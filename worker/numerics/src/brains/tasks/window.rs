@@ -3,8 +3,8 @@
 //! Contact: the first reading above a tenth of its channel's scale (RMS of the initial body's training signals) and above five
 //! standard deviations of its error.
 
-use super::{Labels, Task};
-use crate::trial::Trial;
+use super::{Labels, SensingTask};
+use crate::trial::PreparedTrial;
 
 /// Least reading of a contact, relative to the channel's scale, and in standard deviations of the reading's error.
 const CONTACT: [f64; 2] = [0.1, 5.0];
@@ -25,7 +25,7 @@ pub(super) struct Window {
 
 impl Window {
     /// That of the readouts of a trial.
-    pub(super) fn of(trial: &Trial) -> Self {
+    pub(super) fn of(trial: &PreparedTrial) -> Self {
         let (instants, scales) = (trial.problem.scene.instants, &trial.scales.channels);
         let Some(len) = trial.problem.tasks.window else {
             return Self { len: instants, thresholds: vec![-1.0; scales.len()], instants };
@@ -85,8 +85,14 @@ impl Window {
 
 /// Moves times (ms) by those of windows that start at these instants: from the record's start to the window's (−1), or back (1).
 /// Other labels stay.
-pub(super) fn shifted(task: Task, mut labels: Labels, starts: &[usize], interval: f64, sign: f64) -> Labels {
-    if task == Task::Onset {
+pub(super) fn shifted(
+    task: SensingTask,
+    mut labels: Labels,
+    starts: &[usize],
+    interval: f64,
+    sign: f64,
+) -> Labels {
+    if task == SensingTask::Onset {
         let times = starts.iter().map(|start| sign * 1e3 * interval * *start as f64);
         labels.iter_mut().zip(times).for_each(|(label, time)| label[0] += time);
     }

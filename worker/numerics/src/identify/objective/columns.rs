@@ -1,7 +1,7 @@
 //! Jacobian columns by differences; curvature.
 
-use super::{NUDGE, Objective, Point};
-use crate::dynamics::{Counters, Plan};
+use super::{FitPoint, Misfit, NUDGE};
+use crate::dynamics::{IntegrationPlan, SimulationCounts};
 use crate::random::Draw;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -15,15 +15,15 @@ pub struct Columns {
     of: Vec<Vec<f64>>,
 }
 
-impl Objective<'_> {
+impl Misfit<'_> {
     /// Readings of all records, or of those listed, at a nudged z.
     pub(super) fn nudged(
         &self,
-        plan: &Plan,
-        point: &Point,
+        plan: &IntegrationPlan,
+        point: &FitPoint,
         nudge: impl Fn(&mut DVector<f64>),
         records: Option<&[usize]>,
-    ) -> (Vec<f64>, Counters) {
+    ) -> (Vec<f64>, SimulationCounts) {
         let mut z = point.z.clone();
         nudge(&mut z);
         let (cast, forces) = (self.unknowns.cast(z.as_slice()), self.forces(&z, records));
@@ -37,7 +37,7 @@ impl Objective<'_> {
     }
 
     /// Sum of squares of R^{-½} da per record, under one random nudge of all fitted unknowns.
-    fn moved(&mut self, point: &Point, coarse: &Plan) -> Vec<f64> {
+    fn moved(&mut self, point: &FitPoint, coarse: &IntegrationPlan) -> Vec<f64> {
         let mut draw = Draw::numbered(0, 0);
         let of = |k, _| if k < self.moves { NUDGE * draw.normal() } else { 0.0 };
         let along = DVector::from_fn(point.z.len(), of);
@@ -51,7 +51,7 @@ impl Objective<'_> {
     }
 
     /// da/dz for at most `most` records: half of them are the most sensitive, since a few can outweigh the others; half represent the rest.
-    pub fn columns(&mut self, point: &Point, most: usize) -> Columns {
+    pub fn columns(&mut self, point: &FitPoint, most: usize) -> Columns {
         let coarse = match self.unknowns.free() {
             0 => self.simulator.coarse.clone(),
             _ => self.plans(&point.scene, &point.cast.design(self.design), &self.simulator.forces)[1].clone(),
@@ -73,7 +73,7 @@ impl Objective<'_> {
             0 => self.nudged(&coarse, point, |_| (), Some(&records)),
             k => self.nudged(&coarse, point, |z| z[k - 1] += NUDGE, Some(&records)),
         };
-        let mut read: Vec<(Vec<f64>, Counters)> =
+        let mut read: Vec<(Vec<f64>, SimulationCounts)> =
             self.pool.install(|| (0..=self.moves).into_par_iter().map(of).collect());
         read.iter().for_each(|(_, counters)| self.counters += *counters);
         let here = read.remove(0).0;
@@ -83,7 +83,7 @@ impl Objective<'_> {
     }
 
     /// R^{-½} da/dz, record by record, with R including the prior of the clock offsets.
-    pub fn jacobian(&self, point: &Point, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
+    pub fn jacobian(&self, point: &FitPoint, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
         let record = self.readings.size();
         let mut slopes = point.slopes.clone();
         self.readings.whiten(&mut slopes);
@@ -104,7 +104,7 @@ impl Objective<'_> {
     }
 
     /// JᵀJ + 1, with each record weighted by the number that it represents.
-    pub fn curvature(&self, point: &Point, columns: &Columns) -> DMatrix<f64> {
+    pub fn curvature(&self, point: &FitPoint, columns: &Columns) -> DMatrix<f64> {
         let mut jacobian = self.jacobian(point, columns);
         let record = self.readings.size();
         for (i, stands) in columns.stands.iter().enumerate() {

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::body::Pattern;
-use crate::dynamics::{Relaxation, Stiffness, simulate};
+use crate::dynamics::{LigamentStiffness, MaxwellBranch, simulate};
 use crate::stimuli::{self, Bell};
 
 fn pool(threads: usize) -> crate::Pool {
@@ -20,7 +20,7 @@ fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
 fn body(clamped: Vec<usize>, panels: Vec<(usize, [f64; 2])>, sensor: usize, layout: Layout) -> Scene {
     Scene {
         density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        stiffness: LigamentStiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
         damping_ratio: 0.03,
         clamped,
         panels: panels.into_iter().map(|(unit, direction)| Panel::central(unit, direction)).collect(),
@@ -46,7 +46,7 @@ fn blows(scene: &Scene, samples: u64) -> Forces {
 
 /// Signals with noise relative to each kind's RMS; `memory` is its correlation between successive instants.
 fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f64, seed: u64) -> Vec<f64> {
-    let solver = Solver::new(Method::Nystrom6, Accuracy(1e-5));
+    let solver = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-5));
     let mut signals = simulate(scene, design, forces, &solver, false, &pool(1)).signals;
     let rms = |kind: bool| {
         let of: Vec<f64> =
@@ -71,20 +71,20 @@ fn fit_on(
     (start, design): (&Scene, &[f64]),
     records: Records<'_>,
     free: &[Parameter],
-    known: &[Turn],
-    watch: &mut dyn FnMut(&Turn),
+    known: &[FitIteration],
+    watch: &mut dyn FnMut(&FitIteration),
 ) -> Fit {
-    fit_of(Variation::default(), threads, (start, design), records, free, known, watch)
+    fit_of(Deviations::default(), threads, (start, design), records, free, known, watch)
 }
 
 fn fit_of(
-    variation: Variation,
+    variation: Deviations,
     threads: usize,
     (start, design): (&Scene, &[f64]),
     records: Records<'_>,
     free: &[Parameter],
-    known: &[Turn],
-    watch: &mut dyn FnMut(&Turn),
+    known: &[FitIteration],
+    watch: &mut dyn FnMut(&FitIteration),
 ) -> Fit {
     let problem = Problem {
         scene: start.clone(),
@@ -179,7 +179,7 @@ fn what_the_model_lacks_is_told_from_noise() {
     let scene = scene(3, 2, 2);
     let design = scene.layout.initial_design(0.4363);
     let forces = blows(&scene, 8);
-    let relaxing = Scene { relaxation: Some(Relaxation { share: 0.3, time: 3e-3 }), ..scene.clone() };
+    let relaxing = Scene { relaxation: Some(MaxwellBranch { share: 0.3, time: 3e-3 }), ..scene.clone() };
     let of = |truth: &Scene, memory: f64| {
         let signals = records(truth, &design, &forces, 0.02, memory, 5);
         let found = fit((&scene, &design), &forces, &signals, FIVE);
@@ -256,7 +256,7 @@ fn clocks_that_are_off_are_fitted_with_the_material() {
 /// since damping depends on them.)
 fn pushed() -> (Scene, Vec<f64>, Forces, Vec<f64>) {
     // About 50 Hz, which a clock of 200 Hz resolves.
-    let stiffness = Stiffness { stretch: 0.1, shear: 0.5, bend: 1.0 };
+    let stiffness = LigamentStiffness { stretch: 0.1, shear: 0.5, bend: 1.0 };
     let scene = Scene { linearised: true, damping_ratio: 0.0, stiffness, ..scene(1, 2, 1) };
     let design = scene.layout.initial_design(0.0);
     let forces = blows(&scene, 3);
@@ -306,9 +306,9 @@ fn a_fit_does_not_depend_on_threads_and_goes_on_from_any_turn() {
     let signals = records(&scene, &design, &forces, 0.03, 0.0, 5);
     let start = off_by(&scene, [1.3, 1.0, 0.8, 1.0, 1.0]);
     let free = [Parameter::Stretch, Parameter::Bend];
-    let run = |threads, known: &[Turn]| {
+    let run = |threads, known: &[FitIteration]| {
         let mut turns = known.to_vec();
-        let watch = &mut |turn: &Turn| turns.push(turn.clone());
+        let watch = &mut |turn: &FitIteration| turns.push(turn.clone());
         let found = fit_on(threads, (&start, &design), (&forces, &signals, 0.0), &free, known, watch);
         (found, turns)
     };
@@ -338,13 +338,13 @@ fn intervals_hold_the_material_of_casts_whose_nodes_are_shifted() {
     let design = scene.layout.initial_design(0.4363);
     let forces = blows(&scene, 8);
     let start = off_by(&scene, [1.1, 0.95, 1.05, 1.2, 0.95]);
-    let of_nodes = Variation { nodes: 0.1, ..Variation::default() };
+    let of_nodes = Deviations { nodes: 0.1, ..Deviations::default() };
     let (mut held, mut by_exact) = ([0; 5], [0; 5]);
     for seed in 0..CASTS {
         let mut stream = Stream::new(Purpose::Cast, 400 + seed, [3, 0]);
         let shifted: Vec<f64> = design.iter().map(|a| a + 0.1 * stream.normal()).collect();
         let signals = records(&scene, &shifted, &forces, 0.02, 0.0, 70 + seed);
-        for (variation, held) in [(of_nodes, &mut held), (Variation::default(), &mut by_exact)] {
+        for (variation, held) in [(of_nodes, &mut held), (Deviations::default(), &mut by_exact)] {
             let records = (&forces, &signals[..], 0.0);
             let found = fit_of(variation, 2, (&start, &design), records, FIVE, &[], &mut |_| ());
             let is_exact = variation.nodes == 0.0;

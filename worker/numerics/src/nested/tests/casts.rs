@@ -8,24 +8,24 @@ use crate::brains::ridge::assign_folds;
 use crate::brains::{
     FitOn, Fitted, Loss, NetworkTraining, ScaledSamples, learner, new_decoder, predict_on, solve,
 };
-use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
+use crate::dynamics::{MaxwellBranch, Parameters, planned, run, signal_error};
 use crate::identify::Fit;
 use crate::stimuli::Irregular;
-use crate::trial::{CastObjective, Disturbance, ObjectiveDomain, Samples, Size, Spread, mean_error};
-use crate::variation::{Casts, Variation};
+use crate::trial::{CastObjective, ChipErrors, ObjectiveDomain, Samples, Size, Spread, mean_error};
+use crate::variation::{Casts, Deviations};
 
 /// With deviations of all parameters, ligaments, units, nodes and chips.
 fn scattered(problem: Problem) -> Problem {
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
-    let lengths = Variation { ligament_length: 0.02, ..Variation::default() };
-    let parts = Variation { material, ligaments: [0.05; 3], units: 0.03, ..lengths };
-    let variation = Variation { nodes: 0.1, gain: 0.05, misalignment: 0.05, ..parts };
+    let lengths = Deviations { ligament_length: 0.02, ..Deviations::default() };
+    let parts = Deviations { material, ligaments: [0.05; 3], units: 0.03, ..lengths };
+    let variation = Deviations { nodes: 0.1, gain: 0.05, misalignment: 0.05, ..parts };
     Problem { variation: Some(variation), ..problem }
 }
 
 fn cast(casting: CastObjective) -> Problem {
-    let mut problem = scattered(linear(Protocol::Joint(GOING)));
+    let mut problem = scattered(linear(TrainingProtocol::Joint(GOING)));
     problem.optimise.casting = Some(casting);
     problem
 }
@@ -34,9 +34,9 @@ fn cast(casting: CastObjective) -> Problem {
 #[test]
 fn a_body_that_no_look_has_read_is_the_trained_one() {
     let mut problem = mixed(PARTS);
-    let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
+    let HistorySource::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     (parts[0].0, parts[1].0) = (1.0, 1e-9);
-    problem.disturbance = Some(Disturbance { noise: Size::Relative(0.01), ..Disturbance::NONE });
+    problem.disturbance = Some(ChipErrors { noise: Size::Relative(0.01), ..ChipErrors::NONE });
     let found = carried_out(&problem, 1);
     assert!(found.optimised.design != problem.initial, "step {}", found.best_step);
     assert_eq!(found.best_step, problem.optimise.iterations - 1);
@@ -46,8 +46,8 @@ fn a_body_that_no_look_has_read_is_the_trained_one() {
 #[test]
 fn a_part_without_a_force_is_named() {
     let mut problem = mixed(PARTS);
-    let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
-    let Source::Bell(bell) = &mut parts[1].1 else { panic!("bells") };
+    let HistorySource::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
+    let HistorySource::Bell(bell) = &mut parts[1].1 else { panic!("bells") };
     bell.onset = [5.0, 6.0];
     let failed = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
     assert_eq!(failed.trouble(), Trouble::GradientNonFinite);
@@ -57,7 +57,7 @@ fn a_part_without_a_force_is_named() {
 #[test]
 fn a_fold_without_a_force_judges_nothing() {
     let mut problem = cast(MEAN);
-    let Source::Bell(bell) = &mut problem.stimuli.source else { panic!("bells") };
+    let HistorySource::Bell(bell) = &mut problem.stimuli.source else { panic!("bells") };
     bell.onset = [0.0, 2.5 * problem.scene.duration];
     (problem.optimise.iterations, problem.evaluation.casts, problem.stimuli.samples) = (0, 6, 24);
     let found = carried_out(&problem, 1);
@@ -73,10 +73,11 @@ const PARTS: CastObjective = CastObjective { over: ObjectiveDomain::Parts, casts
 
 /// A mixture of slow and of strong pulses, trained for both parts.
 fn mixed(casting: CastObjective) -> Problem {
-    let mut problem = linear(Protocol::Joint(GOING));
-    let Source::Bell(bell) = problem.stimuli.source else { panic!("bells") };
+    let mut problem = linear(TrainingProtocol::Joint(GOING));
+    let HistorySource::Bell(bell) = problem.stimuli.source else { panic!("bells") };
     let loud = Bell { amplitude: [2.0, 4.0], width: [0.02, 0.05], ..bell };
-    problem.stimuli.source = Source::Mix(vec![(0.5, Source::Bell(bell)), (0.5, Source::Bell(loud))]);
+    problem.stimuli.source =
+        HistorySource::Mix(vec![(0.5, HistorySource::Bell(bell)), (0.5, HistorySource::Bell(loud))]);
     problem.optimise.casting = Some(casting);
     problem
 }
@@ -99,10 +100,10 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
         if casting.over == ObjectiveDomain::Casts {
             problem.scene.density *= 3.0; // fewer steps
         }
-        problem.decoder.ridge = Ridge::Given(ridge);
+        problem.decoder.ridge = RidgeChoice::Given(ridge);
         problem.optimise.coarse = None;
         let pool = pool(2);
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
         let mut log = Log::new(0, &mut keeper);
         let gradient = Session::new(&trial).train_and_differentiate(&mut state, &mut log).unwrap().gradient;
@@ -172,15 +173,15 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
     let castings = tails.map(|tail| [CastObjective { tail, ..MEAN }, CastObjective { tail, ..PARTS }]);
     for casting in castings.into_iter().flatten() {
         let mut problem = if casting.over == ObjectiveDomain::Parts { mixed(casting) } else { cast(casting) };
-        (problem.decoder_kind, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
-        if let Source::Mix(parts) = &mut problem.stimuli.source {
-            let Source::Bell(loud) = &mut parts[1].1 else { panic!("bells") };
+        (problem.decoder_kind, problem.optimise.brain) = (DecoderKind::Network, DecoderKind::Network);
+        if let HistorySource::Mix(parts) = &mut problem.stimuli.source {
+            let HistorySource::Bell(loud) = &mut parts[1].1 else { panic!("bells") };
             loud.amplitude = [0.5, 1.0]; // whose motion is smooth
         }
         problem.scene.density *= 3.0; // fewer steps
         (problem.optimise.coarse, problem.solver.accuracy) = (None, Accuracy(1e-10));
         let pool = pool(2);
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
         let mut log = Log::new(0, &mut keeper);
         // on the initial body, all parts of a mixture rank alike
@@ -242,8 +243,8 @@ fn readings(found: &Optimised) -> Vec<(u32, CastDecoder, u64)> {
 
 /// A network trained over casts; a linear decoder trained over casts and over parts of a mixture, by mean and by worst.
 fn loops() -> [Problem; 5] {
-    let network = scattered(small(Protocol::Joint(GOING)));
-    let network = Problem { optimise: Optimise { casting: Some(MEAN), ..network.optimise }, ..network };
+    let network = scattered(small(TrainingProtocol::Joint(GOING)));
+    let network = Problem { optimise: OuterLoop { casting: Some(MEAN), ..network.optimise }, ..network };
     let [mean, worst] = [1.0, 0.0].map(|tail| scattered(mixed(CastObjective { tail, ..PARTS })));
     [network, cast(MEAN), cast(WORST), mean, worst]
 }
@@ -283,7 +284,7 @@ fn casts_are_read_on_to_the_same_bits() {
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         let brains =
             [CastDecoder::Network, CastDecoder::NetworkCasts, CastDecoder::Nominal, CastDecoder::Casts];
-        let is_linear = problem.decoder_kind == BrainKind::Linear;
+        let is_linear = problem.decoder_kind == DecoderKind::Linear;
         let brains = &brains[if is_linear { 2 } else { 0 }..];
         let all = 12; // training samples
         let brains = brains.iter().copied().chain([10, all].map(CastDecoder::Records));
@@ -319,11 +320,11 @@ fn casts_are_read_on_to_the_same_bits() {
 /// The refitted decoder for all casts has the errors of the comparison's.
 #[test]
 fn the_brain_for_all_casts_can_be_had_again() {
-    let stacked = quick(1).take(1).map(|problem| Problem { decoder_kind: BrainKind::Stacked, ..problem });
+    let stacked = quick(1).take(1).map(|problem| Problem { decoder_kind: DecoderKind::Stacked, ..problem });
     for problem in quick(1).chain(stacked) {
         let found = carried_out(&problem, 1);
         let (pool, design) = (pool(2), &found.optimised.design);
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let (solver, cast) = (trial.tuned(design).solver, trial.cast(Casts::Unseen, 0));
         let of = |forces| {
             let counters = &mut Counters::default();
@@ -352,7 +353,7 @@ fn the_brain_for_all_casts_can_be_had_again() {
         for reading in &found.casts[1] {
             let regularisation = reading.regularisation;
             let network = matches!(reading.decoder, CastDecoder::Network | CastDecoder::NetworkCasts);
-            let linear = !network || problem.decoder_kind == BrainKind::Stacked;
+            let linear = !network || problem.decoder_kind == DecoderKind::Stacked;
             assert_eq!(regularisation.ridge.is_some(), linear, "{reading:?}");
             assert_eq!(regularisation.kappa.is_some(), reading.decoder.records().is_some(), "{reading:?}");
         }
@@ -361,9 +362,9 @@ fn the_brain_for_all_casts_can_be_had_again() {
 
 /// Relative signal errors with steps from the design's pilot: of the design, then of casts.
 fn errors_of_casts(problem: &Problem, design: &[f64], casts: u64, pool: &crate::Pool) -> Vec<f64> {
-    let trial = Trial::new(problem, pool).unwrap();
+    let trial = PreparedTrial::new(problem, pool).unwrap();
     let (solver, forces) = (trial.tuned(design).solver, problem.forces(Purpose::Holdout, 0, 8));
-    let exact = Solver::new(Method::Nystrom6, Accuracy(1e-8));
+    let exact = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-8));
     let error = |cast: Option<u64>| {
         let cast = cast.map(|number| trial.cast(Casts::Unseen, number).unwrap());
         let own = cast.map(|cast| (cast.scene(&problem.scene), cast.design(design)));
@@ -383,7 +384,7 @@ fn casts_keep_the_error_that_was_asked_for() {
     let mut problem = cast(MEAN);
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
-    problem.variation = Some(Variation { material, nodes: 0.1, ..Variation::default() });
+    problem.variation = Some(Deviations { material, nodes: 0.1, ..Deviations::default() });
     for asked in [1e-2, 1e-3, 1e-4] {
         problem.solver.accuracy = Accuracy(asked);
         let mut errors = errors_of_casts(&problem, &problem.initial, 12, &pool(2));
@@ -396,11 +397,11 @@ fn casts_keep_the_error_that_was_asked_for() {
 #[test]
 fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(CastObjective { casts: 1, ..MEAN });
-    problem.variation = Some(Variation::default());
+    problem.variation = Some(Deviations::default());
     problem.evaluation.casts = 1;
     let over = carried_out(&problem, 1);
     let nominal =
-        Problem { variation: None, optimise: Optimise { casting: None, ..problem.optimise }, ..problem };
+        Problem { variation: None, optimise: OuterLoop { casting: None, ..problem.optimise }, ..problem };
     let alone = carried_out(&nominal, 1);
     let own = over.initial.networks[0].error_holdout.unwrap();
     let error = |by| over.casts[0].iter().find(|reading| reading.decoder == by).unwrap().error.unwrap();
@@ -456,10 +457,10 @@ fn casts_are_read_without_records_where_nobody_asks_for_those() {
 #[test]
 fn ligaments_that_relax_judge_and_teach_nothing() {
     let mut problem = cast(MEAN);
-    problem.variation = Some(Variation { nodes: 1e-3, ..Variation::default() });
+    problem.variation = Some(Deviations { nodes: 1e-3, ..Deviations::default() });
     (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
     let plain = carried_out(&problem, 1);
-    problem.variation.as_mut().unwrap().relaxation = Some(Relaxation { share: 0.3, time: 0.01 });
+    problem.variation.as_mut().unwrap().relaxation = Some(MaxwellBranch { share: 0.3, time: 0.01 });
     let found = carried_out(&problem, 2);
     assert_eq!(found.optimised.design, plain.optimised.design);
     let error = |found: &Optimised, by| {
@@ -497,8 +498,8 @@ fn a_body_trained_over_casts_reads_others_better() {
     (variation.ligaments, variation.units, variation.ligament_length) = ([0.0; 3], 0.0, 0.0);
     problem.evaluation.casts = 8;
     (problem.optimise.iterations, problem.optimise.rate) = (40, 0.2);
-    problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
-    let going = |batch| Protocol::Joint(StepTraining { batch, ..GOING });
+    problem.stimuli = ForceSets { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
+    let going = |batch| TrainingProtocol::Joint(StepTraining { batch, ..GOING });
     let mean = |problem: &Problem| {
         let found = carried_out(problem, 2);
         let own = found.casts[1].iter().filter(|reading| reading.decoder == CastDecoder::Casts);
@@ -506,7 +507,7 @@ fn a_body_trained_over_casts_reads_others_better() {
     };
     problem.optimise.protocol = going(8);
     let robust = mean(&problem);
-    problem.optimise = Optimise { casting: None, protocol: going(24), ..problem.optimise };
+    problem.optimise = OuterLoop { casting: None, protocol: going(24), ..problem.optimise };
     let nominal = mean(&problem);
     assert!(robust < nominal - 0.1, "{robust} {nominal}");
 }
@@ -522,32 +523,32 @@ impl Observe for Impatient {
     fn seconds(&mut self) -> f64 {
         0.0
     }
-    fn progress(&mut self, _: f64) -> Control {
+    fn progress(&mut self, _: f64) -> LoopControl {
         self.asked += 1;
-        if self.asked > self.patience { Control::Stop } else { Control::Continue }
+        if self.asked > self.patience { LoopControl::Stop } else { LoopControl::Continue }
     }
     fn save(&mut self, state: &State) {
         self.saved = Some(state.clone());
     }
-    fn step(&mut self, _: &Report, state: &State) -> Control {
+    fn step(&mut self, _: &Report, state: &State) -> LoopControl {
         self.saved = Some(state.clone());
-        Control::Continue
+        LoopControl::Continue
     }
 }
 
 /// A problem with an inverse decoder and one cast of a small body.
 fn inverted() -> Problem {
-    let chip = Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE });
+    let chip = Some(ChipErrors { noise: Size::Relative(0.03), ..ChipErrors::NONE });
     let material = Parameters { stretch: 0.05, ..Parameters::default() };
-    let variation = Some(Variation { material, ..Variation::default() });
-    let plain = linear(Protocol::Joint(GOING));
+    let variation = Some(Deviations { material, ..Deviations::default() });
+    let plain = linear(TrainingProtocol::Joint(GOING));
     let lags = Lags::whole(plain.scene.instants);
     let decoder = Decoder { lags, ..plain.decoder };
     let mut problem =
-        Problem { disturbance: chip, variation, decoder_kind: BrainKind::Inverse, decoder, ..plain };
+        Problem { disturbance: chip, variation, decoder_kind: DecoderKind::Inverse, decoder, ..plain };
     (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
     // a twin needs ten records
-    problem.stimuli = Stimuli { samples: 12, test: 2, holdout: 2, ..problem.stimuli };
+    problem.stimuli = ForceSets { samples: 12, test: 2, holdout: 2, ..problem.stimuli };
     problem.scene.density *= 4.0; // fewer steps
     problem
 }
@@ -559,7 +560,7 @@ fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
     let mut problem = inverted();
     (problem.optimise.iterations, problem.stimuli.holdout) = (0, INVERTED_PER_CAST + 1);
     let pool = pool(2);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let (design, solver) = (&problem.initial, &problem.solver);
     let mould = DesignWithSolver { trial: &trial, design, solver: &trial.tuned(design).solver };
     let cast = trial.cast(Casts::Unseen, 0);
@@ -613,14 +614,14 @@ fn casts_that_relax_keep_the_error_that_was_asked_for() {
     let pool = pool(2);
     for blows in [false, true] {
         let mut problem = cast(MEAN);
-        let relaxation = Some(Relaxation { share: 0.1, time: 0.02 });
-        problem.variation = Some(Variation { nodes: 0.05, relaxation, ..Variation::default() });
-        let Source::Bell(bell) = problem.stimuli.source else { panic!("bells") };
+        let relaxation = Some(MaxwellBranch { share: 0.1, time: 0.02 });
+        problem.variation = Some(Deviations { nodes: 0.05, relaxation, ..Deviations::default() });
+        let HistorySource::Bell(bell) = problem.stimuli.source else { panic!("bells") };
         if blows {
             let bell = Bell { width: [0.005, 0.01], amplitude: [1.0, 2.0], ..bell };
             let [roughness, gap] = [[0.2, 0.5], [0.01, 0.02]];
             let blow = Irregular { bell, roughness, double: 0.2, gap, rebound: roughness };
-            problem.stimuli.source = Source::Irregular(blow);
+            problem.stimuli.source = HistorySource::Irregular(blow);
         }
         let errors = errors_of_casts(&problem, &problem.initial, 2, &pool);
         assert!(errors.iter().all(|error| (1e-5..1e-3).contains(error)), "{blows}: {errors:?}");

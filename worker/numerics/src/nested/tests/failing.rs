@@ -2,7 +2,7 @@
 
 use super::small::with_failing_samples;
 use super::*;
-use crate::trial::Trial;
+use crate::trial::PreparedTrial;
 
 /// A failed sample has 100 % error in the training, test and held-out sets of both bodies, in the loop, the comparison, other
 /// decoders. With zero force instead, results are identical except that means have one sample less.
@@ -12,7 +12,7 @@ fn samples_that_fail_count_as_read_entirely_wrong() {
     let (train, test) = crate::stimuli::split(3, 32, 16, false);
     let late = |set: &[usize]| *set.last().expect("not empty");
     let spoilt = [(Purpose::Stimulus, late(&train)), (Purpose::Stimulus, late(&test)), (Purpose::Holdout, 2)];
-    for brain in [BrainKind::Linear, BrainKind::Network, BrainKind::Stacked] {
+    for brain in [DecoderKind::Linear, DecoderKind::Network, DecoderKind::Stacked] {
         let [failing, silent] = [1e200, 0.0].map(|factor| {
             let problem = with_failing_samples(brain, &spoilt, factor);
             let mut keeper = Keeper::default();
@@ -50,9 +50,9 @@ fn what_the_initial_body_fails_on_counts_against_every_step() {
     let (train, _) = crate::stimuli::split(3, 32, 16, false);
     let last = *train.last().expect("not empty");
     let [failing, silent] = [1e200, 0.0].map(|factor| {
-        let problem = with_failing_samples(BrainKind::Linear, &[(Purpose::Stimulus, last)], factor);
+        let problem = with_failing_samples(DecoderKind::Linear, &[(Purpose::Stimulus, last)], factor);
         let mut keeper = Keeper::default();
-        let trial = Trial::new(&problem, &pool(2)).map(|trial| trial.initial.failures());
+        let trial = PreparedTrial::new(&problem, &pool(2)).map(|trial| trial.initial.failures());
         assert_eq!(trial, Ok(u64::from(factor > 0.0)));
         optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
         keeper.reports.iter().map(|report| report.error_train.unwrap()).collect::<Vec<f64>>()
@@ -68,8 +68,8 @@ fn what_the_initial_body_fails_on_counts_against_every_step() {
 fn the_whole_gradient_holds_where_a_training_sample_fails() {
     let (train, _) = crate::stimuli::split(3, 32, 16, false);
     let last = *train.last().expect("not empty");
-    let mut problem = with_failing_samples(BrainKind::Linear, &[(Purpose::Stimulus, last)], 1e200);
-    let own = linear::linear(Protocol::Paper(Terms::Implicit));
+    let mut problem = with_failing_samples(DecoderKind::Linear, &[(Purpose::Stimulus, last)], 1e200);
+    let own = linear::linear(TrainingProtocol::Paper(Terms::Implicit));
     (problem.decoder, problem.optimise) = (own.decoder, own.optimise);
     problem.scene.density *= 4.0; // fewer steps
     linear::check_the_whole_gradient(problem, true);

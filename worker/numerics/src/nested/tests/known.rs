@@ -7,10 +7,10 @@ use crate::nested::nonlinear::nonlinear;
 /// The small problem with forces of `times` the usual amplitude.
 fn with_amplitude(times: f64) -> Problem {
     let mut problem = small(PROTOCOLS[2]);
-    if let Source::Bell(bell) = &mut problem.stimuli.source {
+    if let HistorySource::Bell(bell) = &mut problem.stimuli.source {
         bell.amplitude = bell.amplitude.map(|a| times * a);
     }
-    problem.solver = Solver::new(Method::Nystrom6, Accuracy(1e-6));
+    problem.solver = IntegratorSettings::new(Integrator::Nystrom6, Accuracy(1e-6));
     problem
 }
 
@@ -20,7 +20,7 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
     let share = |times: f64| {
         let problem = with_amplitude(times);
         let pool = pool(1);
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let mould = DesignWithSolver { trial: &trial, design: &problem.initial, solver: &problem.solver };
         nonlinear(&mould, &mut Counters::default()).unwrap()
     };
@@ -37,12 +37,12 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
 fn the_nonlinear_part_does_not_depend_on_the_integrator() {
     for times in [0.1, 1.0] {
         let (problem, pool) = (with_amplitude(times), pool(1));
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let share = |solver| {
             let mould = DesignWithSolver { trial: &trial, design: &problem.initial, solver };
             nonlinear(&mould, &mut Counters::default()).unwrap()
         };
-        let asked = Solver::new(Method::Tsit5, Accuracy(1e-4));
+        let asked = IntegratorSettings::new(Integrator::Tsit5, Accuracy(1e-4));
         let tsit5 = tune(&problem.scene, &problem.initial, &trial.train, &asked, &pool).solver;
         let (adaptive, equal) = (share(&tsit5), share(&problem.solver));
         for kind in 0..2 {

@@ -8,20 +8,20 @@ use crate::dynamics::{Precision, planned, run};
 use crate::place::placed;
 use crate::trial::{Placing, Samples};
 
-const LINEAR: [Protocol; 4] = [
-    Protocol::Paper(Terms::Implicit),
-    Protocol::Paper(Terms::Direct),
-    Protocol::Joint(GOING),
-    Protocol::Random(GOING),
+const LINEAR: [TrainingProtocol; 4] = [
+    TrainingProtocol::Paper(Terms::Implicit),
+    TrainingProtocol::Paper(Terms::Direct),
+    TrainingProtocol::Joint(GOING),
+    TrainingProtocol::Random(GOING),
 ];
 
-pub(super) fn linear(protocol: Protocol) -> Problem {
+pub(super) fn linear(protocol: TrainingProtocol) -> Problem {
     let small = small(protocol);
-    let decoder = Decoder { lags: Lags { before: 12, after: 6 }, ridge: Ridge::Auto };
+    let decoder = Decoder { lags: Lags { before: 12, after: 6 }, ridge: RidgeChoice::Auto };
     Problem {
-        decoder_kind: BrainKind::Linear,
+        decoder_kind: DecoderKind::Linear,
         decoder,
-        optimise: Optimise { brain: BrainKind::Linear, ..small.optimise },
+        optimise: OuterLoop { brain: DecoderKind::Linear, ..small.optimise },
         ..small
     }
 }
@@ -54,7 +54,7 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
             assert_eq!(timeless(&second.reports), timeless(&whole.reports[stop..]), "{protocol:?}, {stop}");
             assert_eq!(errors(&resumed.optimised), errors(&through.optimised), "{protocol:?}, {stop}");
         }
-        if matches!(protocol, Protocol::Joint(_)) {
+        if matches!(protocol, TrainingProtocol::Joint(_)) {
             // a step reports the λ of its fit, its state has the next one
             for (state, next) in whole.states.iter().zip(&whole.reports[1..]) {
                 assert_eq!(next.ridge, state.decoder_state.ridge);
@@ -126,8 +126,8 @@ fn every_protocol_lowers_the_holdout_error() {
     let errors = LINEAR.map(|protocol| {
         let mut problem = linear(protocol);
         (problem.optimise.iterations, problem.optimise.rate) = (15, 0.2);
-        problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
-        if let Protocol::Joint(going) = &mut problem.optimise.protocol {
+        problem.stimuli = ForceSets { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
+        if let TrainingProtocol::Joint(going) = &mut problem.optimise.protocol {
             going.batch = 16;
         }
         let found = carried_out(&problem, 2);
@@ -152,10 +152,10 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
 pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
     let ridge = 1e-3;
     problem.solver.accuracy = Accuracy(1e-11);
-    problem.decoder.ridge = Ridge::Given(ridge);
+    problem.decoder.ridge = RidgeChoice::Given(ridge);
     problem.optimise.coarse = None;
     let pool = pool(2);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let mut keeper = Keeper::default();
     let mut log = Log::new(0, &mut keeper);
     let mut state = State::new(&problem);
@@ -189,7 +189,7 @@ pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
 #[test]
 fn a_singular_solve_is_named() {
     let mut problem = linear(LINEAR[0]);
-    problem.decoder = Decoder { lags: Lags::whole(40), ridge: Ridge::Given(0.0) };
+    problem.decoder = Decoder { lags: Lags::whole(40), ridge: RidgeChoice::Given(0.0) };
     problem.stimuli.samples = 6;
     let failure = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
     assert_eq!(failure, Failure::Initial(Trouble::Singular));
@@ -207,20 +207,20 @@ fn readings_are_those_of_their_own_fits() {
     assert!(lags.contains(&Lags { before: 39, after: 0 }) && lags.contains(&Lags { before: 2, after: 2 }));
 
     let pool = pool(1);
-    let mut trial = Trial::new(&problem, &pool).unwrap();
+    let mut trial = PreparedTrial::new(&problem, &pool).unwrap();
     let holdout = problem.holdout();
     let sets: [Samples; 3] = [&trial.train, &trial.test, &holdout].map(|forces| {
         let (counters, solver) = (&mut Counters::default(), &trial.problem.solver);
         trial.simulate(&problem.initial, forces, solver, false, counters).unwrap().samples
     });
     for reading in &found.readings {
-        trial.problem.decoder = Decoder { lags: reading.lags, ridge: Ridge::Given(reading.ridge) };
+        trial.problem.decoder = Decoder { lags: reading.lags, ridge: RidgeChoice::Given(reading.ridge) };
         let alone = own_reading(&trial, &sets, &mut Vec::new()).unwrap();
         let (a, b) = (reading.error_holdout.unwrap(), alone.error_holdout.unwrap());
         assert!((a / b - 1.0).abs() < 1e-6, "{reading:?} {alone:?}");
     }
 
-    problem.decoder_kind = BrainKind::Linear;
+    problem.decoder_kind = DecoderKind::Linear;
     let own = optimise(&problem, None, &pool, &mut Keeper::default()).unwrap().unwrap().initial;
     assert_eq!(own.networks.len(), 1);
     assert_eq!(own.networks[0].error_holdout, own.readings[0].error_holdout);
@@ -233,7 +233,7 @@ fn readings_of_forces_in_single_precision_are_those_in_double() {
     let mut problem = small(PROTOCOLS[1]);
     (problem.solver.accuracy, problem.optimise.coarse) = (Accuracy(1e-3), None);
     let pool = pool(1);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let found = super::super::optimise(&trial, None, &mut Keeper::default()).unwrap().unwrap();
     let holdout = problem.holdout();
     for body in [&found.initial, &found.optimised] {
@@ -258,7 +258,7 @@ fn readings_of_forces_in_single_precision_are_those_in_double() {
 /// A stacked network has additional inputs. Its estimates of training samples are out-of-fold.
 #[test]
 fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
-    let mut problem = Problem { decoder_kind: BrainKind::Stacked, ..linear(LINEAR[2]) };
+    let mut problem = Problem { decoder_kind: DecoderKind::Stacked, ..linear(LINEAR[2]) };
     problem.stimuli.samples = 30;
     problem.brain.iterations = 60;
     let found = carried_out(&problem, 2);
@@ -266,7 +266,7 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     assert_eq!((found.optimised.networks.len(), problem.reader_shape().inputs), (2, 5));
     assert_eq!(network.weights.len(), problem.reader_shape().weights());
     let pool = pool(1);
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let stack =
         Stack::new(&problem.decoder, problem.seed, &trial.initial, trial.scales.clone(), &pool).unwrap();
     let known = ScaledSamples::of(&trial.initial, &trial.scales, &pool);
@@ -278,13 +278,13 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
 /// λ of the linear part of a stacked decoder is that of the reading with the trial's memory, also if that memory is a preset.
 #[test]
 fn a_reading_has_the_ridge_of_the_stacked_decoder() {
-    let mut problem = Problem { decoder_kind: BrainKind::Stacked, ..linear(LINEAR[2]) };
+    let mut problem = Problem { decoder_kind: DecoderKind::Stacked, ..linear(LINEAR[2]) };
     (problem.optimise.iterations, problem.brain.iterations) = (0, 2);
     let pool = pool(1);
     for lags in [Lags { before: 12, after: 6 }, Lags { before: 2, after: 2 }, Lags::whole(40)] {
         problem.decoder.lags = lags;
         let readings = carried_out(&problem, 1).initial.readings;
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let scales = trial.scales.clone();
         let stack = Stack::new(&problem.decoder, problem.seed, &trial.initial, scales, &pool).unwrap();
         let own: Vec<f64> = readings.iter().filter(|own| own.lags == lags).map(|own| own.ridge).collect();
@@ -296,14 +296,14 @@ fn a_reading_has_the_ridge_of_the_stacked_decoder() {
 /// body. Under faster forces the errors differ; under forces that break the body there is none.
 #[test]
 fn a_body_is_read_under_other_forces() {
-    let mut own = linear(Protocol::Joint(GOING));
+    let mut own = linear(TrainingProtocol::Joint(GOING));
     own.solver.accuracy = Accuracy(3e-2);
-    let Source::Bell(bell) = own.stimuli.source else { panic!("bells") };
-    let fast = Source::Bell(Bell { width: [0.005, 0.01], ..bell });
-    let noisy = Disturbance { noise: Size::Relative(0.01), delay: 0.001, ..Disturbance::NONE };
+    let HistorySource::Bell(bell) = own.stimuli.source else { panic!("bells") };
+    let fast = HistorySource::Bell(Bell { width: [0.005, 0.01], ..bell });
+    let noisy = ChipErrors { noise: Size::Relative(0.01), delay: 0.001, ..ChipErrors::NONE };
     for disturbance in [None, Some(noisy)] {
         let mut problem =
-            Problem { under: vec![Source::Bell(bell), fast.clone()], disturbance, ..own.clone() };
+            Problem { under: vec![HistorySource::Bell(bell), fast.clone()], disturbance, ..own.clone() };
         problem.optimise.iterations = 3;
         let found = carried_out(&problem, 1);
         let again = carried_out(&problem, 3);
@@ -322,7 +322,7 @@ fn a_body_is_read_under_other_forces() {
             assert!(own != carried && own > 0.0 && Some(own) != expected, "{own} {carried}");
         }
     }
-    let hard = Source::Bell(Bell { amplitude: [1e6, 2e6], ..bell });
+    let hard = HistorySource::Bell(Bell { amplitude: [1e6, 2e6], ..bell });
     let problem = Problem { under: vec![hard], ..own };
     let found = carried_out(&problem, 1);
     assert!(found.under[0].iter().all(|reading| reading.error.is_err()), "{:?}", found.under);
@@ -331,7 +331,7 @@ fn a_body_is_read_under_other_forces() {
 /// Decoding accelerations alone equals decoding all signals with the columns of ω deleted.
 #[test]
 fn channels_that_are_not_read_are_columns_that_are_not_there() {
-    let mut problem = linear(Protocol::Joint(GOING));
+    let mut problem = linear(TrainingProtocol::Joint(GOING));
     (problem.scene.sensors, problem.optimise.iterations) = (vec![6, 7], 0);
     problem.stimuli.holdout = 6;
     let pool = pool(1);
@@ -342,7 +342,7 @@ fn channels_that_are_not_read_are_columns_that_are_not_there() {
         let sizes = Sizes { channels: 4, ..all.sizes };
         Samples::new(sizes, columns, all.targets.clone())
     };
-    let trial = Trial::new(&problem, &pool).unwrap();
+    let trial = PreparedTrial::new(&problem, &pool).unwrap();
     let solver = trial.problem.solver;
     let unseen = trial.problem.forces(Purpose::Holdout, 0, 6);
     let counters = &mut Counters::default();

@@ -4,28 +4,30 @@ use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::brain::Architecture;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brains::Tasks;
-use metasense_numerics::dynamics::{Accuracy, Forces, Method, Panel, Scene, Solver, Stiffness};
+use metasense_numerics::dynamics::{
+    Accuracy, Forces, Integrator, IntegratorSettings, LigamentStiffness, Panel, Scene,
+};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::random::Purpose;
-use metasense_numerics::stimuli::{Bell, Recorded, Source};
+use metasense_numerics::stimuli::{Bell, HistorySource, RecordedForces};
 use metasense_numerics::trial::{
-    BrainKind, Decoder, Evaluation, Optimise, Polygons, Problem, Protocol, Ridge, Scaling, Schedule,
-    StepTraining, Stimuli, Training,
+    Decoder, DecoderKind, FinalComparison, ForceSets, Normalisation, OuterLoop, Problem, RateSchedule,
+    RidgeChoice, ScenePolygons, StepTraining, Training, TrainingProtocol,
 };
 use std::sync::Arc;
 
 /// 4 × 3 units, two panels, one sensor, 0.2 s, 16 samples, a network of width 8.
-pub(crate) fn small(protocol: Protocol) -> Problem {
+pub(crate) fn small(protocol: TrainingProtocol) -> Problem {
     let layout = Layout::planar(4, 3, 15.0, 2.25);
     let direction = [0.0, -1.0];
     Problem {
         under: Vec::new(),
-        body: Arc::new(Polygons),
+        body: Arc::new(ScenePolygons),
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
             layout,
             density: 1e-8,
-            stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+            stiffness: LigamentStiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
             damping_ratio: 0.02,
             clamped: vec![0, 1, 2, 3],
             panels: vec![Panel::central(9, direction), Panel::central(10, direction)],
@@ -35,13 +37,13 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             ..Scene::default()
         },
         search: None,
-        solver: Solver::new(Method::Auto, Accuracy(1e-3)),
+        solver: IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3)),
         limits: Limits::default(),
         kept: vec![],
         frozen: vec![],
         tie: [1, 1],
-        stimuli: Stimuli {
-            source: Source::Bell(Bell {
+        stimuli: ForceSets {
+            source: HistorySource::Bell(Bell {
                 amplitude: [0.15, 0.5],
                 width: [0.05, 0.1],
                 onset: [0.0, 0.1],
@@ -58,26 +60,26 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         disturbance: None,
         relative_to: None,
         variation: None,
-        decoder_kind: BrainKind::Network,
+        decoder_kind: DecoderKind::Network,
         tasks: Tasks::default(),
-        decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
+        decoder: Decoder { lags: Lags::whole(40), ridge: RidgeChoice::Auto },
         brain: Training {
             iterations: 30,
             rate: 1e-2,
             architecture: Architecture::paper(8),
-            scaling: Scaling::Rms,
+            scaling: Normalisation::Rms,
         },
-        optimise: Optimise {
-            brain: BrainKind::Network,
+        optimise: OuterLoop {
+            brain: DecoderKind::Network,
             protocol,
             iterations: 4,
             rate: 0.1,
-            coarse: Some(Solver::new(Method::Auto, Accuracy(1e-2))),
+            coarse: Some(IntegratorSettings::new(Integrator::Auto, Accuracy(1e-2))),
             casting: None,
         },
-        evaluation: Evaluation {
+        evaluation: FinalComparison {
             seeds: 2,
-            schedule: Schedule::Cosine,
+            schedule: RateSchedule::Cosine,
             batch: Some(5),
             long: None,
             casts: 0,
@@ -120,16 +122,16 @@ pub(crate) const GOING: StepTraining = StepTraining { batch: 5, brain_iterations
 
 /// 16 training, test and held-out samples from records. The forces of `spoilt` (set, number) are multiplied by `factor`: 0, or so
 /// large that the simulation fails.
-pub(crate) fn with_failing_samples(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Problem {
-    let mut problem = small(Protocol::Random(GOING));
-    problem.stimuli = Stimuli { samples: 32, test: 16, holdout: 16, ..problem.stimuli };
+pub(crate) fn with_failing_samples(brain: DecoderKind, spoilt: &[(Purpose, usize)], factor: f64) -> Problem {
+    let mut problem = small(TrainingProtocol::Random(GOING));
+    problem.stimuli = ForceSets { samples: 32, test: 16, holdout: 16, ..problem.stimuli };
     (problem.decoder_kind, problem.optimise.brain) = (brain, brain);
-    if brain == BrainKind::Stacked {
-        problem.optimise.brain = BrainKind::Network;
+    if brain == DecoderKind::Stacked {
+        problem.optimise.brain = DecoderKind::Network;
     }
     let mut histories = problem.forces(Purpose::Stimulus, 0, 48);
     let recorded = |histories: Forces| {
-        Source::Recorded(Recorded {
+        HistorySource::Recorded(RecordedForces {
             histories: Arc::new(histories),
             struck: None,
             scale: [1.0; 2],

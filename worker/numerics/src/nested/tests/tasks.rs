@@ -3,21 +3,21 @@
 use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
-use crate::brains::{Task, TaskEstimate, Tasks};
+use crate::brains::{SensingTask, TaskEstimate, Tasks};
 use crate::dynamics::Parameters;
-use crate::variation::Variation;
+use crate::variation::Deviations;
 
-fn trained_for(tasks: &[Task], batch: usize) -> Problem {
-    let problem = linear(Protocol::Joint(StepTraining { batch, ..GOING }));
+fn trained_for(tasks: &[SensingTask], batch: usize) -> Problem {
+    let problem = linear(TrainingProtocol::Joint(StepTraining { batch, ..GOING }));
     // few samples can teach a readout what hardly varies
-    let source = Source::Bell(Bell {
+    let source = HistorySource::Bell(Bell {
         amplitude: [0.15, 0.5],
         width: [0.06, 0.08],
         onset: [0.0, 0.05],
         peak: [0.45, 0.55],
         power: [2.0, 2.5],
     });
-    let stimuli = Stimuli { source, samples: 120, test: 40, holdout: 60, ..problem.stimuli.clone() };
+    let stimuli = ForceSets { source, samples: 120, test: 40, holdout: 60, ..problem.stimuli.clone() };
     Problem { tasks: Tasks { trained: tasks.to_vec(), ..Tasks::default() }, stimuli, ..problem }
 }
 
@@ -25,9 +25,9 @@ fn trained_for(tasks: &[Task], batch: usize) -> Problem {
 #[test]
 fn the_gradient_of_a_task_holds_through_simulator_and_readout() {
     let cases = [
-        (&[Task::Peak][..], None),
-        (&[Task::Panel, Task::Onset], None),
-        (&[Task::Peak, Task::Position], Some(20)),
+        (&[SensingTask::Peak][..], None),
+        (&[SensingTask::Panel, SensingTask::Onset], None),
+        (&[SensingTask::Peak, SensingTask::Position], Some(20)),
     ];
     for (tasks, window) in cases {
         let mut problem = trained_for(tasks, 16);
@@ -36,7 +36,7 @@ fn the_gradient_of_a_task_holds_through_simulator_and_readout() {
         problem.solver.accuracy = Accuracy(1e-11);
         (problem.optimise.coarse, problem.stimuli.samples, problem.stimuli.test) = (None, 20, 4);
         let pool = pool(2);
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         let step = |design: Vec<f64>| {
             let mut keeper = Keeper::default();
             let (mut state, mut log) = (State::new(&problem), Log::new(0, &mut keeper));
@@ -61,7 +61,9 @@ fn the_gradient_of_a_task_holds_through_simulator_and_readout() {
 /// Training for a task lowers its held-out error; a resumed loop gives the same bits on another number of threads.
 #[test]
 fn training_for_a_task_lowers_its_error_and_resumes() {
-    for tasks in [&[Task::Impulse][..], &[Task::Position], &[Task::Panel, Task::Peak]] {
+    for tasks in
+        [&[SensingTask::Impulse][..], &[SensingTask::Position], &[SensingTask::Panel, SensingTask::Peak]]
+    {
         let mut problem = trained_for(tasks, 64);
         (problem.optimise.iterations, problem.optimise.rate) = (20, 0.2);
         let mut whole = Keeper::default();
@@ -83,7 +85,7 @@ fn training_for_a_task_lowers_its_error_and_resumes() {
 #[test]
 fn too_few_samples_for_a_readout_are_named() {
     let failure =
-        optimise(&trained_for(&[Task::Peak], 5), None, &pool(1), &mut Keeper::default()).unwrap_err();
+        optimise(&trained_for(&[SensingTask::Peak], 5), None, &pool(1), &mut Keeper::default()).unwrap_err();
     assert_eq!(failure, Failure::Initial(Trouble::FewForces));
 }
 
@@ -92,7 +94,7 @@ fn too_few_samples_for_a_readout_are_named() {
 #[test]
 fn estimates_of_tasks_stand_beside_the_comparison() {
     let problem = trained_for(&[], 64);
-    let mut network = small(Protocol::Joint(GOING));
+    let mut network = small(TrainingProtocol::Joint(GOING));
     network.stimuli = problem.stimuli.clone();
     network.brain.iterations = 6;
     for mut problem in [problem, network] {
@@ -111,7 +113,7 @@ fn estimates_of_tasks_stand_beside_the_comparison() {
         assert!(plain.tasks.iter().all(Vec::is_empty));
 
         let pool = pool(1);
-        let trial = Trial::new(&problem, &pool).unwrap();
+        let trial = PreparedTrial::new(&problem, &pool).unwrap();
         for (body, tasks) in [&found.initial, &found.optimised].into_iter().zip(&found.tasks) {
             assert_eq!(tasks, &estimate_tasks(&trial, &body.design).unwrap());
             let of = |name: &str| tasks.iter().filter(|estimate| estimate.task.0 == name).count();
@@ -136,12 +138,13 @@ fn estimates_of_tasks_stand_beside_the_comparison() {
 fn tasks_are_judged_on_casts() {
     let mut problem = trained_for(&[], 64);
     let pool = pool(2);
-    let estimates =
-        |problem: &Problem| estimate_tasks(&Trial::new(problem, &pool).unwrap(), &problem.initial).unwrap();
+    let estimates = |problem: &Problem| {
+        estimate_tasks(&PreparedTrial::new(problem, &pool).unwrap(), &problem.initial).unwrap()
+    };
     let plain = estimates(&problem);
     assert!(plain.iter().all(|estimate| estimate.casts.is_none()));
     let material = Parameters { stretch: 0.1, shear: 0.1, bend: 0.1, ..Parameters::default() };
-    problem.variation = Some(Variation { material, nodes: 0.2, ..Variation::default() });
+    problem.variation = Some(Deviations { material, nodes: 0.2, ..Deviations::default() });
     problem.evaluation.casts = 3;
     let found = estimates(&problem);
     let nominal = |estimate: &TaskEstimate| TaskEstimate { casts: None, ..estimate.clone() };
@@ -153,11 +156,14 @@ fn tasks_are_judged_on_casts() {
 /// Labels of the part of a mixture belong to the samples, in steps and in all sets: otherwise pulls would not differ from pushes.
 #[test]
 fn the_kind_of_a_sample_is_that_of_its_forces() {
-    let mut problem = trained_for(&[Task::Kind], 48);
-    let Source::Bell(push) = problem.stimuli.source else { panic!("pulses") };
+    let mut problem = trained_for(&[SensingTask::Kind], 48);
+    let HistorySource::Bell(push) = problem.stimuli.source else { panic!("pulses") };
     let pull = Bell { amplitude: push.amplitude.map(|f| -f), ..push };
-    problem.stimuli.source = Source::Mix(vec![(0.4, Source::Bell(push)), (0.6, Source::Bell(pull))]);
-    for protocol in [Protocol::Joint(StepTraining { batch: 48, ..GOING }), Protocol::Random(GOING)] {
+    problem.stimuli.source =
+        HistorySource::Mix(vec![(0.4, HistorySource::Bell(push)), (0.6, HistorySource::Bell(pull))]);
+    for protocol in
+        [TrainingProtocol::Joint(StepTraining { batch: 48, ..GOING }), TrainingProtocol::Random(GOING)]
+    {
         problem.optimise.protocol = protocol;
         let mut keeper = Keeper::default();
         let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();

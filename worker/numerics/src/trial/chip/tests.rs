@@ -1,7 +1,7 @@
 use super::*;
 
-const SIZE: Disturbance =
-    Disturbance { noise: Size::Relative(0.1), bias: Size::Physical([3.0, 0.2]), ..Disturbance::NONE };
+const SIZE: ChipErrors =
+    ChipErrors { noise: Size::Relative(0.1), bias: Size::Physical([3.0, 0.2]), ..ChipErrors::NONE };
 
 const ALL: [usize; 3] = [0, 1, 2];
 
@@ -39,7 +39,7 @@ fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
 /// Accelerations are rounded to 0.5 and limited to ±4, angular velocities to 0.1 and ±1; limited readings have no gradient.
 #[test]
 fn readings_come_in_steps_and_end_with_the_range() {
-    let sizes = Disturbance { range: [4.0, 1.0], resolution: [0.5, 0.1], ..Disturbance::NONE };
+    let sizes = ChipErrors { range: [4.0, 1.0], resolution: [0.5, 0.1], ..ChipErrors::NONE };
     let chip = Chip::new(&sizes, 1, &[1.0; 3], &ALL);
     let mut signals = [0.2, 0.3, 0.04, -5.0, 3.9, 0.96, 0.0, -3.6, -2.0, 1.26, 9.0, 0.5];
     chip.disturb(&mut signals, &forces(1));
@@ -54,7 +54,7 @@ fn readings_come_in_steps_and_end_with_the_range() {
 /// Readings of a channel do not depend on which other channels exist.
 #[test]
 fn a_channel_that_is_read_alone_is_disturbed_alike() {
-    let sizes = Disturbance { range: [5.0, 0.3], resolution: [0.5, 0.1], ..SIZE };
+    let sizes = ChipErrors { range: [5.0, 0.3], resolution: [0.5, 0.1], ..SIZE };
     let mut stream = Stream::new(Purpose::Design, 3, [0, 0]);
     let signals: Vec<f64> = (0..2 * 4 * 6).map(|_| stream.normal()).collect();
     let rms = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];

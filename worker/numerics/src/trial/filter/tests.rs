@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 const RATE: f64 = 200.0;
 
 fn filter(bandwidth: f64, delay: f64) -> Filter {
-    Filter::new(&Disturbance { bandwidth, delay, ..Disturbance::NONE }, RATE.recip())
+    Filter::new(&ChipErrors { bandwidth, delay, ..ChipErrors::NONE }, RATE.recip())
 }
 
 /// Amplitude and phase (rad) of the readings of sin(2πft), over the last of many whole periods.
@@ -34,7 +34,7 @@ fn the_low_pass_is_butterworths() {
             let (re, im) = (1.0 - x * x, 2f64.sqrt() * x);
             let off = [gain - re.hypot(im).recip(), (phase + im.atan2(re)).sin()];
             assert!(off[0].abs() < 4e-3 && off[1].abs() < 1e-3, "{bandwidth} Hz at {f} Hz: {off:?}");
-            let passes = Disturbance { bandwidth, delay: 2e-3, ..Disturbance::NONE }.passes(f);
+            let passes = ChipErrors { bandwidth, delay: 2e-3, ..ChipErrors::NONE }.passes(f);
             let (gain, phase) = response(&self::filter(bandwidth, 2e-3), f);
             assert!((passes - c64::cis(phase) * gain).norm() < 5e-3, "{bandwidth} Hz at {f} Hz: {passes}");
         }
@@ -58,7 +58,7 @@ fn a_delay_of_whole_instants_moves_the_readings() {
     let filter = filter(f64::INFINITY, 3.0 / 1600.0);
     let signals: Vec<f64> = (1..=2 * 4 * 8).map(f64::from).collect();
     assert_eq!(filter.run(signals, 2, 1), [5.0, 13.0, 21.0, 29.0, 37.0, 45.0, 53.0, 61.0]);
-    let long = super::Filter::new(&Disturbance { delay: 0.02, ..Disturbance::NONE }, RATE.recip());
+    let long = super::Filter::new(&ChipErrors { delay: 0.02, ..ChipErrors::NONE }, RATE.recip());
     assert_eq!(long.run(vec![1.0; 5 * 8], 1, 1), [0.0, 0.0, 0.0, 0.0, 1.0]);
 }
 

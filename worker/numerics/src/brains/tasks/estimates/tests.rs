@@ -66,15 +66,21 @@ fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> Vec<TaskEstimate> {
 #[test]
 fn tasks_are_read_as_well_as_signals_allow() {
     let clean = read(1e-6, <[f64]>::to_vec);
-    let constant = [Task::Count, Task::Kind].map(Task::name);
+    let constant = [SensingTask::Count, SensingTask::Kind].map(SensingTask::name);
     assert!(clean.iter().all(|r| !constant.contains(&r.task)), "every sample has one pulse of one kind");
     let noisy = read(30.0, |forces| forces.iter().map(|f| 0.5 * f).collect());
-    let error = |of: &[TaskEstimate], task: Task, readout: &str| {
+    let error = |of: &[TaskEstimate], task: SensingTask, readout: &str| {
         let found = of.iter().find(|r| r.task == task.name() && r.readout == readout).unwrap();
         assert!(found.interval[0] <= found.error && found.error <= found.interval[1], "{found:?}");
         found.error / found.trivial
     };
-    for task in [Task::Panel, Task::Position, Task::Peak, Task::Impulse, Task::Onset] {
+    for task in [
+        SensingTask::Panel,
+        SensingTask::Position,
+        SensingTask::Peak,
+        SensingTask::Impulse,
+        SensingTask::Onset,
+    ] {
         assert_eq!(error(&clean, task, "decoded"), 0.0, "{task:?}");
         let score = |of: &[TaskEstimate]| of.iter().find(|r| r.task == task.name()).unwrap().score;
         assert!(score(&clean) > score(&noisy), "{task:?}: {clean:?} {noisy:?}");
@@ -82,10 +88,13 @@ fn tasks_are_read_as_well_as_signals_allow() {
         assert!(direct < 0.7 && blurred > direct, "{task:?}: {direct} {blurred}");
     }
     // 50 records for 60 unknowns: almost determined.
-    assert!(error(&clean, Task::Impulse, "direct") < 0.35);
+    assert!(error(&clean, SensingTask::Impulse, "direct") < 0.35);
     // Halved forces keep place and time, and have half the height.
-    assert_eq!(error(&noisy, Task::Panel, "decoded") + error(&noisy, Task::Onset, "decoded"), 0.0);
-    assert!(error(&noisy, Task::Impulse, "decoded") > 0.1);
+    assert_eq!(
+        error(&noisy, SensingTask::Panel, "decoded") + error(&noisy, SensingTask::Onset, "decoded"),
+        0.0
+    );
+    assert!(error(&noisy, SensingTask::Impulse, "decoded") > 0.1);
     // Halved forces have a quarter of the squares as error.
     let of_forces = [&clean, &noisy].map(|of| (of[0].task.0, of[0].error));
     assert_eq!(of_forces, [("forces", 0.0), ("forces", 25.0)]);

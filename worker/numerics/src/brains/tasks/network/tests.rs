@@ -41,15 +41,15 @@ fn products_of_signals_are_estimated() {
     };
     let ((x, known), (tests, truth)) = (records(300), records(200));
     let values: Labels = known.iter().map(|p| vec![5.0 + 0.1 * p]).collect();
-    let network = Network::new(1, Task::Peak, &x, &values);
+    let network = Network::new(1, SensingTask::Peak, &x, &values);
     let squares =
         network.outputs(&tests).iter().zip(&truth).map(|(o, p)| (o - 5.0 - 0.1 * p).powi(2)).sum::<f64>();
     let share = squares / truth.iter().map(|p| (0.1 * p).powi(2)).sum::<f64>();
     assert!(share < 0.1, "{share}");
-    assert_eq!(network.outputs(&tests), Network::new(1, Task::Peak, &x, &values).outputs(&tests));
+    assert_eq!(network.outputs(&tests), Network::new(1, SensingTask::Peak, &x, &values).outputs(&tests));
 
     let signs: Labels = known.iter().map(|p| vec![if *p > 0.0 { 3.0 } else { 1.0 }]).collect();
-    let network = Network::new(1, Task::Panel, &x, &signs);
+    let network = Network::new(1, SensingTask::Panel, &x, &signs);
     let right =
         network.outputs(&tests).row_iter().zip(&truth).filter(|(o, p)| (o[1] > o[0]) == (**p > 0.0)).count();
     assert!(right > 180 && network.classes == [1.0, 3.0], "{right} of 200");

@@ -46,8 +46,8 @@ fn the_transpose_adds_a_window_to_its_record() {
 #[test]
 fn times_count_from_the_window() {
     let labels = || vec![vec![50.0], vec![30.0]];
-    let moved = shifted(Task::Onset, labels(), &[4, 1], 0.005, -1.0);
+    let moved = shifted(SensingTask::Onset, labels(), &[4, 1], 0.005, -1.0);
     assert_eq!(moved, [[30.0], [25.0]]);
-    assert_eq!(shifted(Task::Onset, moved, &[4, 1], 0.005, 1.0), labels());
-    assert_eq!(shifted(Task::Peak, labels(), &[4, 1], 0.005, -1.0), labels());
+    assert_eq!(shifted(SensingTask::Onset, moved, &[4, 1], 0.005, 1.0), labels());
+    assert_eq!(shifted(SensingTask::Peak, labels(), &[4, 1], 0.005, -1.0), labels());
 }
