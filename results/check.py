@@ -758,8 +758,10 @@ def authors():
         found = [str(len(few))]
         for errors in ("test", "holdout"):
             before, after = numbers(many, f"{errors}_initial"), numbers(few, f"{errors}_trained")
-            ratios = with_interval([a / b for a, b in zip(before, after, strict=True)])
-            found.append(f"{short(geometric(before))} → {short(geometric(after))} %, {ratios}")
+            of = [dict(row, ratio=a / b) for row, a, b in zip(few, before, after, strict=True)]
+            ratio, half, _ = judged(of, ("placement", "seed"), of_rows(lambda row: row["ratio"])(of))
+            ends = " … ".join(short(math.exp(x)) for x in (ratio - half, ratio + half))
+            found.append(f"{short(geometric(before))} → {short(geometric(after))} %, {short(math.exp(ratio))} ({ends})")
         yield cells, found
 
 

@@ -141,11 +141,7 @@ const EDITS: &[(&str, &str, &str)] = &[
         "density = 1e-8\nguides = [{ units = [99], holds = [\"x\"] }]",
         "s.toml:8: body.guides = 99: the layout's units are 0 to 35",
     ),
-    (
-        "density = 1e-8",
-        "density = 1e-8\npanel_angle = 200",
-        "s.toml:8: body.panel_angle = 200: must lie between -180 and 180 degrees",
-    ),
+    ("density = 1e-8", "density = 1e-8\npanel_angle = 90", "s.toml:8: body.panel_angle = 90: removed: "),
     ("density = 1e-8", "density = 1e-8\npanel_units = [31]", "sweep.panels = 2: "),
     (
         "density = 1e-8",
@@ -500,7 +496,43 @@ const EDITS: &[(&str, &str, &str)] = &[
         "sensors = [1]\nexclude = [{ sensors = 1 }]",
         "s.toml:16: sweep.exclude = [{ sensors = 1 }]: excludes all trials",
     ),
-    ("sensors = [1, 2]", "sensors = [1]\nplacements = 9000000", "at most 1000000"),
+    ("sensors = [1, 2]", "sensors = [1]\nplacements = 9000000", "at most 1000000 are allowed"),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"body.stiffness\" = [{ stretch = 3, shear = 0.5, bend = 1 }]\n\"body.stiffness.bend\" = [1.0, 5.0]",
+        "s.toml:17: body.stiffness.bend = [1.0, 5.0]: is part of \"body.stiffness\", which [sweep] sets, too",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\n\"optimise.coarse.tolerance\" = [0.01]\npoints = [{ \"optimise.coarse\" = { tolerance = 0.03 } }]",
+        "s.toml:15: optimise.coarse.tolerance = [0.01]: is part of \"optimise.coarse\"",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"goal.error\" = [1.0, 2.0]",
+        "s.toml:16: sweep.\"goal.error\" = [1.0, 2.0]: is not a setting of a trial and cannot be swept",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\n\"variation.stretch\" = [0.0]",
+        "s.toml:16: variation: must contain at least one deviation",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\nexclude = [{ sensors = 1.0 }]",
+        "s.toml:16: sweep.exclude = 1.0: \"sensors\" must be a whole number of at least 0",
+    ),
+    ("rows = 6", "rows = 2000", "s.toml:4: body.rows = 2000: gives 12000 units; a body has at most 10000"),
+    (
+        "columns = 6",
+        "columns = 6\nclamp = \"ends\"",
+        "s.toml:4: body.clamp = ends: holds unit 31, on which a panel acts: set body.panel_units to free units",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\npanel_units = [30, 31, 34]",
+        "body.panel_units names 3 units: name as many units as panels",
+    ),
     ("name = \"s\"", "name = \"../s\"", "s.toml:1: name = \"../s\": "),
     ("name = \"s\"", "name = ", "s.toml:1: not valid TOML"),
 ];
@@ -575,6 +607,15 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:14: sensors.delay = 0.01: needs 8 instants of motion per reading, so that time.samples must be at most 12500",
     ),
     (
+        "[sensors]\nbandwidth = 4000.0\ndelay = 0.001\n[time]\nsamples = 2000",
+        "s.toml:14: sensors.bandwidth = 4000: needs 64 instants of motion per reading",
+    ),
+    ("[sensors]\ninertia = 2.0", "s.toml:14: sensors.inertia = 2: must be at most 1 Mg mm²"),
+    (
+        "[sensors]\noffset = [0.0, 2e3]",
+        "s.toml:14: sensors.offset = [0.0, 2000.0]: must be two numbers from -1000 to 1000 mm",
+    ),
+    (
         "[sensors]\nchannels = []",
         "s.toml:14: sensors.channels = []: must name some of \"ax\", \"ay\", \"omega\", each once",
     ),
@@ -614,11 +655,12 @@ const TABLES: &[(&str, &str)] = &[
     ("[evaluation]\ncasts = 4", "s.toml:14: evaluation.casts = 4: has no effect: no trial has a [variation]"),
     ("[run]\ntime_limit = nan", "s.toml:14: run.time_limit = nan: nan is not a finite number"),
     ("[run]\ntime_limit = 2e9", "s.toml:14: run.time_limit = 2e9: must be at least 0.1, at most 1e9"),
-    ("[run]\nno_progress = 0.01", "s.toml:14: run.no_progress = 0.01: must be at least 0.1, at most 1e9"),
+    ("[run]\nno_progress = 1", "s.toml:14: run.no_progress = 1: must be at least 2, at most 1e9"),
     ("[run]\nbackoff = 2e9", "s.toml:14: run.backoff = 2e9: must be at least 0, at most 1e9"),
     ("[run]\ngrace = -1", "s.toml:14: run.grace = -1: must be at least 0, at most 3600"),
     ("[run]\ngrace = 3601", "s.toml:14: run.grace = 3601: must be at least 0, at most 3600"),
     ("[run]\nthreads = 1025", "s.toml:14: run.threads = 1025: must be at least 1, at most 1024"),
+    ("[run]\nniceness = -1", "s.toml:14: run.niceness = -1: must be a whole number from 0 to 19"),
     ("[run]\nniceness = 20", "s.toml:14: run.niceness = 20: must be at most 19"),
     ("[feasible]\nclearance = 30.0", "s.toml:2: body.initial_angle = 25: the initial body is not feasible"),
     (
@@ -732,6 +774,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     ("[time]\nsamples = 0", "s.toml:14: time.samples = 0: "),
     ("[time]\nduration = 1e6", "s.toml:14: time.duration = 1000000: must be at most 86400 s"),
+    ("[time]\nduration = 86400.0", "s.toml:9: stimuli: no training sample has a force; check stimuli.onset"),
     ("[time]\nduration = -1.0", "s.toml:14: time.duration = -1: "),
     ("[solver]\ntolerance = 0.0", "s.toml:14: solver.tolerance = 0: "),
     ("[solver]\ntolerance = 1e-13", "s.toml:14: solver.tolerance = 0.0000000000001: "),
@@ -755,6 +798,14 @@ const TABLES: &[(&str, &str)] = &[
     ("[optimise]\nlearning_rate = -0.1", "s.toml:14: optimise.learning_rate = -0.1: "),
     ("[evaluation]\nlong_iterations = 0", "s.toml:14: evaluation.long_iterations = 0: "),
     ("[evaluation]\nseeds = 0", "s.toml:14: evaluation.seeds = 0: "),
+    (
+        "[feasible]\nmax_block_angle = 90.0",
+        "s.toml:14: feasible.max_block_angle = 90: must be above 90 degrees",
+    ),
+    (
+        "[feasible]\nlimits = false\nmin_edge = 2.0",
+        "s.toml:15: feasible.min_edge = 2.0: has no effect: no trial has feasible.limits = true",
+    ),
     ("[feasible]\nclearance = -1.0", "s.toml:14: feasible.clearance = -1: "),
     ("[sensors]\nplacements = [[14], [14, 14]]", "s.toml:14: sensors.placements = 14: "),
     (
@@ -863,7 +914,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
     bench.file("twice.toml", &SPEC.replacen("kind = \"bell\"", recorded, 1));
     for (args, expected) in [
         (&["run", "none.toml"][..], "cannot read none.toml"),
-        (&["run", "binary.toml"], "cannot read binary.toml"),
+        (&["run", "binary.toml"], "binary.toml is not UTF-8 (UTF-16 or Latin-1?): save it as UTF-8"),
         (
             &["run", "s.toml", "--db", "file/s.sqlite"],
             "cannot write the database file/s.sqlite; choose another file",

@@ -5,34 +5,6 @@ use std::process::Command;
 
 use serde_json::Value;
 
-const SPEC: &str = r#"name = "s"
-[body]
-columns = 4
-rows = 3
-spacing = 15.0
-ligament_length = 2.25
-density = 1e-8
-stiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }
-[time]
-duration = 0.1
-samples = 20
-[stimuli]
-kind = "bell"
-samples = 6
-test = 2
-holdout = 2
-onset = [0.0, 0.02]
-[brain]
-iterations = 3
-[optimise]
-protocol = "joint"
-iterations = 3
-batch = 4
-[sweep]
-panels = [2]
-sensors = [1]
-"#;
-
 /// The output of a bench: one list of rows, or one row per line.
 fn rows(folder: &Path, arguments: &str) -> Vec<Value> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_metasense-bench"));
@@ -95,21 +67,8 @@ fn integrators_are_measured() {
 }
 
 #[test]
-fn protocols_are_measured() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("s.toml"), SPEC).unwrap();
-    let found = rows(folder.path(), "protocols s.toml --protocols joint --seconds 0,1000 --format json");
-    let steps: Vec<f64> = found.iter().flat_map(|row| numbers(row, "step fresh_samples")).collect();
-    assert_eq!(steps, [0.0, 0.0, 1.0, 4.0, 3.0, 12.0], "{found:?}");
-    positive(&found, "holdout_error_percent");
-    let picture = std::fs::read_to_string(folder.path().join("results/protocols.svg")).unwrap();
-    assert!(picture.contains("joint"), "{picture}");
-}
-
-/// The engine's rows, without arrays in the database.
-#[test]
 fn the_engine_is_measured() {
     let folder = tempfile::tempdir().unwrap();
-    let engine = rows(folder.path(), "engine --trials 20 --array 1000 --drop-arrays");
+    let engine = rows(folder.path(), "engine --trials 20 --array 1000");
     positive(&engine, "trials_per_second array_bytes_per_second orchestrator_resident_mib");
 }

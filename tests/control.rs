@@ -153,6 +153,10 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     run.asked(&["reload"], 1, "refused: s.toml");
     bench.file("s.toml", &specs()[0].replace("\"tiny\"", "\"other\""));
     run.asked(&["reload"], 1, "name = \"other\"");
+    std::fs::remove_file(bench.path("s.toml")).unwrap();
+    assert!(Command::new("mkfifo").arg(bench.path("s.toml")).status().unwrap().success());
+    run.asked(&["reload"], 1, "refused: s.toml is not a regular file");
+    std::fs::remove_file(bench.path("s.toml")).unwrap();
     bench.file("s.toml", &specs()[1].replace("seeds = [1, ", "seeds = ["));
     run.asked(&["reload"], 0, "trials added: 2; no longer in the spec, but still run: 2\n");
     bench.file("s.toml", &specs()[1]);
@@ -451,6 +455,10 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     let refused = bench.metasense(&["run", "s.toml", "--db", "t.sqlite", &at]);
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && said.contains("--serve=0 for any free port"), "{said}");
+    let port = taken.local_addr().unwrap().port().to_string();
+    let refused = bench.metasense(&["serve", "s.sqlite", "--listen", &port]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("or 0 for any free port"), "{said}");
     // the pages end with a killed run
     bench.file("s.toml", &specs()[0].replace("[1, 2, 3]", "[7, 8, 9]"));
     let mut run = Run::start(&bench, &["--serve=0"]);

@@ -138,6 +138,8 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     assert_eq!(optimise("tie = [1, 1]\nfrozen = []"), plain);
     assert_eq!(optimise("frozen = [7, 8]"), optimise("frozen = [8, 7]"));
     assert_ne!(optimise("tie = [2, 1]")[1], plain[1]);
+    let varied = hashes(&(SPEC.to_owned() + "\"variation.stretch\" = [0.0, 0.1]\n"));
+    assert!(varied.len() == 5 && plain.iter().all(|hash| varied.contains(hash)), "{varied:?}");
     let anywhere = |value: &str| hashes(&SPEC.replace("[sweep]", &format!("anywhere = {value}\n[sweep]")));
     assert!(anywhere("false") == plain && anywhere("true")[1] != plain[1]);
     assert_ne!(hashes(&SPEC.replace("bend = 1.0", "bend = 1.5"))[1], plain[1]);
@@ -361,4 +363,38 @@ fn a_body_that_cannot_be_meant_is_warned_of() {
         let warned = said(more);
         assert!(warned.contains("warning: ") && warned.contains("body.density"), "{more}: {warned}");
     }
+}
+
+/// What is possible but may not be meant: the plan stays as it is.
+#[test]
+fn what_may_not_be_meant_is_warned_of() {
+    let bench = Bench::new();
+    bench.file("s.toml", TINY);
+    let small = ["body.columns=3", "body.rows=3", "sweep.sensors=[1]", "sweep.placements=4"];
+    for (changes, expected) in [
+        (
+            &small[..],
+            "warning: sweep.placements: 4 placements of 1 sensor are only 1 distinct set of units, of 1 that the body has",
+        ),
+        (&["sweep.exclude=[{ seed = 9 }]"], "warning: sweep.exclude: { seed = 9 } matches no trial"),
+        (&["sweep.exclude=[{ sensors = 2, placement = 1 }]"], "matches no trial"),
+        (&["sensors.relative_to={ random = 1 }"], "warning: sensors.relative_to: has no effect"),
+        (&["optimise.iterations=1"], "warning: optimise.iterations = 1: the body is not trained"),
+        (&["stimuli.onset=[0.0, 0.2]"], "warning: stimuli.onset: pulses may start at 0.2 s, after the end"),
+        (
+            &["body.contact={ cutoff_angle = 179.0 }"],
+            "no natural frequencies: body.contact: parts of the body",
+        ),
+        (
+            &["body.columns=40", "body.rows=40"],
+            "natural frequencies are not computed for bodies of more than",
+        ),
+    ] {
+        let output = bench.metasense(&[&["expand", "s.toml"], changes].concat());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.contains(expected), "{changes:?}: {said}");
+    }
+    let used = "sweep.exclude=[{ sensors = 2, placement = 0, seed = 1 }]";
+    let said = String::from_utf8_lossy(&bench.metasense(&["expand", "s.toml", used]).stderr).into_owned();
+    assert!(!said.contains("warning"), "{said}");
 }

@@ -1,12 +1,15 @@
 //! Files of a database during a run and for readers: removed, locked, damaged, read-only.
 
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::{Bench, TINY, results};
+use crate::common::processes::{eventually, kill};
+use crate::common::{Bench, TINY, results, without_cost};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 
@@ -254,4 +257,52 @@ fn a_cell_without_json_is_named() {
     }
     bench.output(&["remove", "s.sqlite", &format!("hash={hash}"), "--yes"]);
     bench.output(&["query", "s.sqlite", "SELECT * FROM v_trial"]);
+}
+
+/// A spec may come from a pipe. A signal ends the wait for it.
+#[test]
+fn a_spec_is_read_from_a_pipe() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    let script = "cat tiny.toml | \"$0\" expand /dev/stdin --format csv";
+    let mut shell = Command::new("sh");
+    shell.args(["-c", script, env!("CARGO_BIN_EXE_metasense")]).current_dir(bench.path(""));
+    let output = shell.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    let expected = bench.output(&["expand", "tiny.toml", "--format", "csv"]);
+    let [found, expected] =
+        [&*text, &*expected].map(|text| text.lines().map(without_cost).collect::<Vec<_>>());
+    assert_eq!(found, expected, "{}", said(&output));
+
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    command.args(["run", "/dev/stdin"]).current_dir(bench.path("")).stdin(Stdio::piped());
+    let mut run = command.spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    kill(run.id(), libc::SIGTERM);
+    let ended = eventually(Duration::from_secs(20), || run.try_wait().unwrap());
+    assert!(ended.is_some(), "the run waits for its spec");
+}
+
+/// A path that SQLite cannot use is refused by name, and no file is left.
+#[test]
+fn a_path_that_sqlite_cannot_use_leaves_no_file() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    let odd = bench.path("").join(OsStr::from_bytes(b"odd-\xff"));
+    std::fs::create_dir(&odd).unwrap();
+    // with -wal, the last is longer than a name may be
+    let name = "x".repeat(253);
+    for (db, told) in [
+        (odd.join("s.sqlite"), "odd-\\xFF"),
+        (Path::new(OsStr::from_bytes(b"s\xff.sqlite")).to_owned(), "s\\xFF.sqlite"),
+        (Path::new(&name).to_owned(), name.as_str()),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+        command.args(["run", "tiny.toml", "--db"]).arg(&db).current_dir(bench.path(""));
+        let output = command.output().unwrap();
+        let said = said(&output);
+        assert!(output.status.code() == Some(2) && said.contains(told), "{told}: {said}");
+        assert!(!bench.path("").join(&db).exists(), "{told}: {said}");
+    }
+    assert_eq!(std::fs::read_dir(bench.path("")).unwrap().count(), 2);
 }

@@ -472,7 +472,7 @@ fn a_shortage_of_descriptors_refuses_no_input() {
         let output = command.output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!said.contains("refused"), "{limit}: {said}");
-        if said.contains("from 61 databases") {
+        if said.contains("from 60 databases") {
             merges += 1;
             assert_eq!(ask(&out, "SELECT sum(name = 'own') FROM sweep"), ["[1]"]);
         } else {
@@ -616,10 +616,10 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
     merged(pool(), &at("whole")).unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(merge(Extent::Facts, pool(), &at("facts"))).unwrap();
-    for (i, file) in pool().iter().enumerate().rev() {
+    for file in pool().iter().rev() {
         let read =
             runtime.block_on(merge(Extent::Facts, std::slice::from_ref(file), &at("stepwise"))).unwrap();
-        assert_eq!((read.read, read.known), (if i + 1 == pool().len() { 1 } else { 2 }, 0));
+        assert_eq!((read.read, read.known), (1, 0));
     }
     for sql in [
         "SELECT hash, state, reason, error_optimised, best_step, attempts, seconds, sweep, code, placed FROM v_trial",
@@ -688,10 +688,10 @@ fn a_second_merge_reads_only_what_is_new() {
     };
     put(&vec![0xa5; kept.len()]);
     let second = merged(&files[..3], &out).unwrap();
-    assert_eq!((second.read, second.known, second.refused.len()), (4, 2, 0), "the result is one of them");
+    assert_eq!((second.read, second.known, second.refused.len()), (3, 2, 0), "the result is none of them");
     let before = out.metadata().unwrap().modified().unwrap();
     let third = merged(&files[..3], &out).unwrap();
-    assert_eq!((third.read, third.known, third.trials), (4, 3, second.trials));
+    assert_eq!((third.read, third.known, third.trials), (3, 3, second.trials));
     assert_eq!(out.metadata().unwrap().modified().unwrap(), before, "nothing new was written all the same");
     put(&kept);
     runtime.block_on(database(&files[1], &plan("s1"), 1, &[(1, TrialState::Done(5.0, "avx2"))]));

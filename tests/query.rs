@@ -1,6 +1,8 @@
 //! `query` runs SQL and changes nothing.
 
 use std::io::Read;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use crate::common::{Bench, SPEC, TINY};
 use crate::synthetic;
@@ -193,7 +195,10 @@ async fn one_statement_is_answered_and_none_panics() {
         }
         let twice = bench.metasense(&["query", "s.sqlite", "SELECT 1 AS a, 2 AS a", "--format", format]);
         let said = String::from_utf8_lossy(&twice.stderr);
-        let (code, why) = if format == "json" { (2, "two columns are named a") } else { (0, "") };
+        let (code, why) = match format {
+            "json" | "parquet" => (2, "two columns are named a"),
+            _ => (0, ""),
+        };
         assert!(twice.status.code() == Some(code) && said.contains(why), "{format}: {said}");
     }
     for (words, why) in [
@@ -345,4 +350,48 @@ async fn a_stalled_reader_does_not_make_the_log_grow() {
     answer.read_to_string(&mut rest).unwrap();
     assert!(asking.wait().unwrap().success());
     assert_eq!(rest.lines().count(), 1 + 3 * 20_000 - usize::from(begun.contains(&b'\n')));
+}
+
+/// With standard output as the file, what it contains stays, and its path is not printed into it.
+#[tokio::test]
+async fn standard_output_is_written_to_as_it_is() {
+    let bench = Bench::new();
+    database(&bench).await;
+    bench.file("kept.csv", "before\n");
+    for script in [
+        "{ \"$0\" query s.sqlite 'SELECT 1 AS a' --format csv --out /dev/stdout; echo after; } >> kept.csv",
+        "\"$0\" export s.sqlite v_trial --format parquet --out /dev/fd/1 > file.parquet",
+        "\"$0\" export s.sqlite v_trial --format parquet --out /dev/stdout | cat > pipe.parquet",
+    ] {
+        let mut shell = Command::new("sh");
+        shell.args(["-c", script, env!("CARGO_BIN_EXE_metasense")]).current_dir(bench.path(""));
+        assert!(shell.status().unwrap().success(), "{script}");
+    }
+    assert_eq!(std::fs::read_to_string(bench.path("kept.csv")).unwrap(), "before\na\n1\nafter\n");
+    for name in ["file.parquet", "pipe.parquet"] {
+        let bytes = std::fs::read(bench.path(name)).unwrap();
+        assert!(bytes.starts_with(b"PAR1") && bytes.ends_with(b"PAR1"), "{name}: {} bytes", bytes.len());
+    }
+}
+
+/// If rows cannot be held for a slow reader, the message names the temporary folder.
+#[tokio::test]
+async fn a_full_temporary_folder_is_named() {
+    let bench = Bench::new();
+    database(&bench).await;
+    // 20 MB, of which a pipe takes 64 kB and the memory 4 MB
+    let sql = "WITH n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i < 19999) SELECT printf('%01000d', i) FROM n";
+    let asking = Command::new(env!("CARGO_BIN_EXE_metasense"))
+        .args(["query", "s.sqlite", sql, "--format", "csv"])
+        .current_dir(bench.path(""))
+        .env("TMPDIR", "/no/such/folder")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_secs(2));
+    let output = asking.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("holding rows for the reader in /no/such/folder"), "{said}");
 }

@@ -302,6 +302,24 @@ fn a_machine_on_which_trials_die_one_after_the_other_fails_none_of_them() {
     assert_eq!(asked("SELECT outcome FROM v_run"), "outcome\nunfit\n");
 }
 
+/// A run that is stopped ends with its code, even if its final table cannot be printed.
+#[test]
+fn a_stopped_run_that_cannot_print_is_a_stopped_run() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &TINY.replace("iterations = 4\n", "iterations = 100000\n"));
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    command.args(["run", "tiny.toml"]).current_dir(bench.path("")).stdout(full).stderr(Stdio::piped());
+    let run = command.spawn().unwrap();
+    let log = || std::fs::read_to_string(bench.path("results/tiny.log")).unwrap_or_default();
+    let begun = || log().contains("worker started").then_some(());
+    eventually(Duration::from_secs(20), begun).expect("a worker starts within 20 s");
+    kill(run.id(), libc::SIGTERM);
+    let output = run.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(4) && said.contains("error: writing the output"), "{said}");
+}
+
 /// Under nohup, closing the terminal does not end the run; without nohup it ends the run cleanly.
 #[test]
 fn an_ignored_hangup_stays_ignored() {

@@ -163,6 +163,13 @@ async fn every_page_is_there_and_comes_from_here_alone() {
         let (status, answer) = server.get(path).await;
         assert!([400, 404].contains(&status) && !answer.contains("root:"), "{path}: {answer}");
     }
+    for (path, why) in [
+        ("/0/trials?page=-1", "page: invalid digit found in string"),
+        ("/0/sql.parquet?q=SELECT+1+AS+a,+2+AS+a", "two columns are named a"),
+    ] {
+        let (status, page) = server.get(path).await;
+        assert!(status == 400 && page.contains(why) && page.contains("Back to the start"), "{path}: {page}");
+    }
     let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
     let (_, sql) = server.get("/0/sql").await;
     assert!(sql.contains("<code>training</code>") && !sql.contains('`'), "{sql}");

@@ -259,7 +259,8 @@ fn a_shard_goes_on_on_another_node() {
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
 }
 
-/// A scheduler that has lost its process on a node starts the shard again while the first attempt is ending.
+/// A scheduler that has lost its process on a node starts the shard again while the first attempt is ending. A signal ends the
+/// wait.
 #[test]
 fn an_attempt_waits_for_one_that_ends_on_its_node() {
     let bench = Bench::new();
@@ -271,9 +272,11 @@ fn an_attempt_waits_for_one_that_ends_on_its_node() {
         std::thread::sleep(Duration::from_millis(2));
     }
     signal(&first, libc::SIGSTOP); // with remaining trials, however quick they are
-    let mut second = start(&bench, "node");
+    let (mut second, mut third) = (start(&bench, "node"), start(&bench, "node"));
     std::thread::sleep(Duration::from_secs(1)); // longer than the attempts to lock
     assert_eq!(second.try_wait().unwrap(), None, "{}", log());
+    signal(&third, libc::SIGTERM);
+    assert_eq!(wait(&mut third), Some(4));
     signal(&first, libc::SIGTERM);
     signal(&first, libc::SIGCONT);
     assert_eq!((wait(&mut first), wait(&mut second)), (Some(4), Some(0)), "{}", log());

@@ -103,6 +103,11 @@ fn disks_without_room_are_named_before_the_first_worker_starts() {
         &call("-o nr_inodes=4 tmpfs results", "run tiny.toml --shard 1/2 --folder results/s"),
         "df -i",
     );
+    // SQLite's temporary data stays in memory
+    std::fs::create_dir(bench.path("full")).unwrap();
+    let full = "-o size=4k tmpfs full && export TMPDIR=$PWD/full";
+    let done = call(full, "run tiny.toml --db t.sqlite --workers 2");
+    assert!(done.status.success(), "{}", stderr_text(&done));
     let submitted = call("-o noexec tmpfs results", "cluster submit local tiny.toml --shards 2 --cpus 1");
     assert_eq!(submitted.status.code(), Some(2), "{}", stderr_text(&submitted));
     assert!(

@@ -4,7 +4,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
-use crate::common::processes::{eventually, kill};
+use crate::common::processes::{children, eventually, is_alive, kill};
 use crate::common::{Bench, SPEC, TINY, results};
 
 /// A dry run's output without the paths of this machine.
@@ -418,4 +418,29 @@ fn shards_on_this_machine_are_the_sweep() {
     assert_eq!(bench.path("tmp").read_dir().unwrap().count(), 0, "nothing is left on the machine");
     let status = stderr_text(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("2 of 2 shards complete"), "{status}");
+}
+
+/// Shards on this machine end in order if their `submit` is killed: they hand in what they have done.
+#[test]
+fn shards_end_with_the_submit_that_started_them() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", &TINY.replace("iterations = 4\n", "iterations = 100000\n"));
+    let mut submit =
+        bench.start(&["cluster", "submit", "local", "tiny.toml", "--shards", "1", "--cpus", "1"]);
+    let read = |end: &str| {
+        let file = bench.path(&format!("results/tiny.shards/shard-1-of-1.{end}"));
+        std::fs::read_to_string(file).unwrap_or_default()
+    };
+    let begun = || read("log").contains("worker started").then_some(());
+    eventually(Duration::from_secs(60), begun).expect("the shard begins");
+    let shards = children(submit.id());
+    assert_eq!(shards.len(), 1);
+    kill(submit.id(), libc::SIGKILL);
+    submit.wait().unwrap();
+    let ended = eventually(Duration::from_secs(60), || (!is_alive(shards[0])).then_some(()));
+    assert!(ended.is_some(), "{}", read("out"));
+    let files = bench.path("results/tiny.shards").read_dir().unwrap();
+    let copies =
+        files.filter(|file| file.as_ref().unwrap().path().extension().is_some_and(|e| e == "sqlite"));
+    assert_eq!(copies.count(), 1, "{}", read("out"));
 }

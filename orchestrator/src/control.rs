@@ -195,6 +195,13 @@ pub enum ControlError {
         db.display()
     )]
     NotListening { db: PathBuf },
+    /// The run does not answer.
+    #[error(
+        "the run of {} (process {pid}) does not answer; it may be busy, or stopped (Ctrl-Z, SIGSTOP): try again, or resume it \
+         with kill -CONT {pid}",
+        db.display()
+    )]
+    NoAnswer { db: PathBuf, pid: i32 },
     /// The socket failed.
     #[error("sending a command to the run of {}", db.display())]
     Io { db: PathBuf, source: io::Error },
@@ -339,6 +346,10 @@ pub fn is_held(db: &Path) -> bool {
 /// # Errors
 /// If there is no run or it does not answer.
 pub async fn ask(db: &Path, command: &Command) -> Result<Reply, ControlError> {
+    ask_within(ANSWERING, db, command).await
+}
+
+async fn ask_within(limit: Duration, db: &Path, command: &Command) -> Result<Reply, ControlError> {
     let at = |source| ControlError::Io { db: db.to_owned(), source };
     let (_folder, address, _) =
         address(db).map_err(|source| ControlError::NoDatabase { db: db.to_owned(), source })?;
@@ -349,6 +360,7 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Reply, ControlError> {
         },
         _ => at(refused(&address, source)),
     })?;
+    let pid = stream.peer_cred().ok().and_then(|peer| peer.pid());
     let answer = async {
         let (from, mut to) = stream.into_split();
         to.write_all(format!("{command}\n").as_bytes()).await?;
@@ -356,7 +368,11 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Reply, ControlError> {
         from.take(ANSWER).read_to_string(&mut answer).await?;
         Ok::<_, io::Error>(answer)
     };
-    let answer = timeout(ANSWERING, answer).await.map_err(|e| at(e.into()))?.map_err(at)?;
+    let answer = timeout(limit, answer).await.map_err(|late| match pid {
+        Some(pid) => ControlError::NoAnswer { db: db.to_owned(), pid },
+        None => at(late.into()),
+    })?;
+    let answer = answer.map_err(at)?;
     match answer.split_once(' ') {
         Some(("done", text)) => Ok(Reply { done: true, text: text.to_owned() }),
         Some(("refused", text)) => Ok(Reply::refused(text)),

@@ -75,13 +75,32 @@ pub fn remedy(reason: Reason) -> &'static str {
         Reason::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
             "set `body.compression` nearer to 0, or increase `body.initial_angle`"
         }
+        Reason::Numerical(Cause::NoMass) => {
+            "set `feasible.limits = true`, reduce the spread of `body.design`, or choose another design"
+        }
         Reason::Numerical(Cause::Singular) => {
             "check whether all forces are 0 (`stimuli.onset` and `time.duration`, or clock and scale of records); if not, raise \
              `brain.ridge`"
         }
-        Reason::Numerical(_) => {
-            "run `metasense trial SPEC HASH`; reduce `solver.tolerance` or the learning rate"
+        Reason::Numerical(Cause::StepLimit | Cause::StepTooSmall) => {
+            "reduce the forces, `body.stiffness` or the damping, increase `body.density`, or raise `solver.tolerance`"
         }
+        Reason::Numerical(Cause::Unstable) => {
+            "reduce `solver.tolerance`, set `solver.method = \"tsit5\"`, or reduce the forces"
+        }
+        Reason::Numerical(Cause::NonFinite) => {
+            "reduce the forces, and check `body.density`, `body.stiffness` and the damping"
+        }
+        Reason::Numerical(Cause::ForbiddenContact) => {
+            "reduce the forces or `body.contact.min_angle`, or increase `body.contact.stiffness` or `feasible.min_void_angle`"
+        }
+        Reason::Numerical(Cause::DeadLayer | Cause::Diverged | Cause::LossNonFinite) => {
+            "reduce `brain.learning_rate`, or `optimise.brain_learning_rate` if the failure is in training"
+        }
+        Reason::Numerical(Cause::LossJump | Cause::GradientNonFinite) => {
+            "reduce `optimise.learning_rate` or the forces"
+        }
+        Reason::Numerical(Cause::NowhereToSense) => "reduce `sensors.spacing` or the number of sensors",
         Reason::Body(BodyFault::TimeLimit) => "raise `body.time_limit`, then run with --retry-failed",
         Reason::Body(BodyFault::Changed) => "run the spec again: its trials get other hashes",
         Reason::Body(_) => "run `metasense lab verify SPEC`, and correct the program of `body.command`",
@@ -91,5 +110,22 @@ pub fn remedy(reason: Reason) -> &'static str {
         Reason::Cancelled => "run with --retry-failed to resume it",
         Reason::Stopped => "the same command resumes it",
         Reason::Paused => "resumes if a search requests more of its steps",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No learning rate remedies a failed simulation, and no integrator a failed training of a network.
+    #[test]
+    fn a_remedy_fits_its_cause() {
+        for cause in [Cause::StepLimit, Cause::StepTooSmall, Cause::NonFinite, Cause::Unstable] {
+            assert!(!remedy(Reason::Numerical(cause)).contains("learning_rate"), "{cause:?}");
+        }
+        for cause in [Cause::DeadLayer, Cause::Diverged, Cause::LossNonFinite] {
+            let remedy = remedy(Reason::Numerical(cause));
+            assert!(remedy.contains("learning_rate") && !remedy.contains("solver"), "{cause:?}");
+        }
     }
 }

@@ -5,10 +5,40 @@ pub(crate) mod disk;
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
+use std::os::fd::{BorrowedFd, RawFd};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
+
+use crate::leftovers;
+
+/// A path as a word of a shell command.
+pub fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,@%+".contains(c);
+    if !text.is_empty() && text.chars().all(plain) {
+        text
+    } else {
+        format!("'{}'", text.replace('\'', r"'\''"))
+    }
+}
+
+/// Reads the text of a spec.
+///
+/// # Errors
+/// If the system fails; `InvalidData`, with a message that names the file, for a database or other encodings than UTF-8.
+pub fn read_spec(path: &Path) -> io::Result<String> {
+    let (file, word) = (path.display(), quoted(path));
+    let refused = |why: String| io::Error::new(io::ErrorKind::InvalidData, why);
+    if is_database(path) {
+        return Err(refused(format!(
+            "{file} is a database; SPEC must be the .toml file of a sweep (metasense query {word} \"SELECT text FROM sweep\")"
+        )));
+    }
+    let text = String::from_utf8(std::fs::read(path)?);
+    text.map_err(|_| refused(format!("{file} is not UTF-8 (UTF-16 or Latin-1?): save it as UTF-8")))
+}
 
 /// The folder that contains a file; "." for a bare file name.
 pub fn folder(path: &Path) -> &Path {
@@ -103,8 +133,26 @@ pub fn copy(from: &Path, path: &Path) -> io::Result<()> {
     output.finish()
 }
 
-/// A temporary file that [`Output::finish`] renames to its target; dropping it before deletes it. Pipes and terminals are
-/// written to directly; symbolic links and permissions are kept.
+/// Whether a file is a pipe, a device, or an open file of this process such as /dev/stdout.
+pub fn is_stream(path: &Path) -> bool {
+    own_descriptor(path).is_some() || path.metadata().is_ok_and(|file| !file.is_file() && !file.is_dir())
+}
+
+/// The descriptor of this process that a path names, such as /dev/stdout or /dev/fd/3.
+fn own_descriptor(path: &Path) -> Option<RawFd> {
+    let (own, mut path) = (Path::new("/proc/self/fd").canonicalize().ok()?, path.to_owned());
+    // A path may be a link to a link.
+    for _ in 0..4 {
+        if folder(&path).canonicalize().ok()? == own {
+            return path.file_name()?.to_str()?.parse::<RawFd>().ok().filter(|number| *number >= 0);
+        }
+        path = folder(&path).join(path.read_link().ok()?);
+    }
+    None
+}
+
+/// A temporary file that [`Output::finish`] renames to its target; dropping it before deletes it. Pipes, devices and open files
+/// of this process are written to directly; symbolic links and permissions are kept.
 #[derive(Debug)]
 pub struct Output {
     file: File,
@@ -118,6 +166,11 @@ impl Output {
     /// # Errors
     /// If the system fails or the target is a database, which must not be replaced.
     pub fn create(path: &Path) -> io::Result<Self> {
+        if let Some(number) = own_descriptor(path) {
+            // SAFETY: a number that is not open is an error of the duplication.
+            let open = unsafe { BorrowedFd::borrow_raw(number) };
+            return Ok(Self { file: open.try_clone_to_owned()?.into(), whole: None });
+        }
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let before = path.metadata().ok();
         if before.as_ref().is_some_and(|before| !before.is_file()) {
@@ -130,7 +183,11 @@ impl Output {
             ));
         }
         let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
-        let beside = path.with_file_name(format!(".{name}.{}.tmp", own_mark()));
+        let (prefix, mark) = (format!(".{name}."), own_mark());
+        // Marks contain no dot.
+        let mark_in = |found: &str| Some(!found.strip_prefix(&prefix)?.strip_suffix(".tmp")?.contains('.'));
+        leftovers::remove_abandoned(folder(&path), |found| mark_in(found).unwrap_or(false));
+        let beside = path.with_file_name(format!("{prefix}{mark}.tmp"));
         let file = File::create(&beside)?;
         let output = Self { file, whole: Some((beside, path)) };
         before.map_or(Ok(()), |before| output.file.set_permissions(before.permissions()))?;
@@ -172,8 +229,9 @@ impl Drop for Output {
 pub(crate) fn is_database(path: &Path) -> bool {
     const MAGIC: &[u8] = b"SQLite format 3\0";
     let mut head = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(MAGIC.len() as u64).read_to_end(&mut head));
-    read.is_ok() && head == MAGIC
+    // Bytes that are read from a pipe are lost.
+    let mut read = || File::open(path)?.take(MAGIC.len() as u64).read_to_end(&mut head);
+    path.is_file() && read().is_ok() && head == MAGIC
 }
 
 #[cfg(test)]

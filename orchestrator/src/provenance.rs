@@ -93,11 +93,12 @@ pub fn unresolved(solver: &str) -> Option<String> {
         [false, true] => "the initial body",
         [true, false] => "the trained body",
     };
-    Some(format!("no time step reaches solver.tolerance on {bodies}: {CHAOTIC}"))
+    Some(format!("no time step reaches solver.tolerance on {bodies}: {UNRESOLVED}"))
 }
 
-const CHAOTIC: &str = "the motion is chaotic, so errors and predictions depend on the steps. Softer contact, weaker forces or more \
-    damping make the motion resolvable; v_trial.solver contains the remaining error";
+const UNRESOLVED: &str = "errors and predictions depend on the steps. v_trial.solver contains the remaining error. If it is large, \
+    the motion is chaotic: softer contact, weaker forces or more damping help. If it is tiny, it is rounding: increase \
+    solver.tolerance";
 
 /// The same warning for several trials.
 pub fn unresolved_trials(hashes: &[String]) -> Option<String> {
@@ -105,7 +106,10 @@ pub fn unresolved_trials(hashes: &[String]) -> Option<String> {
     let more = if hashes.len() > SHOWN { ", …" } else { "" };
     let trials = crate::plan::counted(hashes.len(), "trial");
     let text = || {
-        format!("no time step reaches solver.tolerance in {trials} ({}{more}): {CHAOTIC}", shown.join(", "))
+        format!(
+            "no time step reaches solver.tolerance in {trials} ({}{more}): {UNRESOLVED}",
+            shown.join(", ")
+        )
     };
     (!hashes.is_empty()).then(text)
 }

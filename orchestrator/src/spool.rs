@@ -44,6 +44,20 @@ impl Shared {
     }
 }
 
+/// An error of the temporary file.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+struct FileError(io::Error);
+
+fn of_file(error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), FileError(error))
+}
+
+/// Whether the temporary file has failed, not the output.
+pub fn is_of_file(error: &io::Error) -> bool {
+    error.get_ref().is_some_and(|error| error.is::<FileError>())
+}
+
 impl Spool {
     /// Starts a thread that writes to `out`.
     pub fn new(out: impl Write + Send + 'static) -> Self {
@@ -93,10 +107,10 @@ impl Write for Spool {
             waiting.memory.push_back(bytes.to_vec());
         } else {
             if waiting.file.is_none() {
-                waiting.file = Some(tempfile::tempfile()?);
+                waiting.file = Some(tempfile::tempfile().map_err(of_file)?);
             }
             let at = waiting.written;
-            waiting.file.as_ref().expect("it was just made").write_all_at(bytes, at)?;
+            waiting.file.as_ref().expect("it was just made").write_all_at(bytes, at).map_err(of_file)?;
             waiting.written += bytes.len() as u64;
         }
         drop(waiting);
@@ -121,7 +135,8 @@ fn pass_on(shared: &Shared, mut out: impl Write) -> io::Result<()> {
             if waiting.taken < waiting.written {
                 let at = waiting.taken;
                 let mut part = vec![0; (waiting.written - at).min(PART) as usize];
-                waiting.file.as_ref().expect("something was written to it").read_exact_at(&mut part, at)?;
+                let file = waiting.file.as_ref().expect("something was written to it");
+                file.read_exact_at(&mut part, at).map_err(of_file)?;
                 waiting.taken += part.len() as u64;
                 if waiting.taken == waiting.written {
                     // Everything was read: free the disk space.

@@ -42,6 +42,8 @@ causes! {
     Buckled = "buckled",
     /// The body has no equilibrium under `body.compression`.
     NoEquilibrium = "no_equilibrium",
+    /// A unit of the body is inverted, or has nearly vanished.
+    NoMass = "no_mass",
     /// All outputs of a hidden layer are 0.
     DeadLayer = "dead_layer",
     /// The training loss grew without bound.

@@ -2,12 +2,14 @@
 
 use std::collections::BTreeSet;
 
+use metasense::analysis::{Cluster, Interval, Resampling};
+
 use super::map::slopes_over;
 use super::rows::{Row, geometric, number, of, rows, short, with_interval};
 use super::table;
 
 /// One line per setting, in the order of the rows: geometric mean errors of the initial and the trained body, and their ratio with
-/// its interval over seeds, or over placements where there are more. Then the initial body with six sensors against the trained
+/// its interval over placements and seeds. Then the initial body with six sensors against the trained
 /// body with two.
 pub fn gains() -> String {
     let rows = rows("authors/trials.csv");
@@ -41,7 +43,7 @@ pub fn gains() -> String {
                     "{} → {} %, {}",
                     geometric(before.into_iter()),
                     geometric(after.into_iter()),
-                    with_interval(&logs, f64::exp)
+                    with_units(trained, &logs)
                 )
             };
             let noise = if noise == "0" {
@@ -72,6 +74,21 @@ pub fn gains() -> String {
         "held-out set, gain",
     ];
     table(&columns, by_setting.chain(compared))
+}
+
+/// A geometric mean of ratios, from their logarithms, with its interval over placements and seeds.
+fn with_units(rows: &[&Row], logs: &[f64]) -> String {
+    let unit = |row: &Row, name: &str| row[name].parse().unwrap();
+    let clusters: Vec<Cluster> = rows
+        .iter()
+        .map(|row| Cluster { placement: unit(row, "placement"), seed: unit(row, "seed") })
+        .collect();
+    let mean = |weights: &[f64]| {
+        weights.iter().zip(logs).map(|(w, x)| w * x).sum::<f64>() / weights.iter().sum::<f64>()
+    };
+    let Interval { low, high } = Resampling::new(&clusters).interval(|weights| Some(mean(weights))).unwrap();
+    let [at, low, high] = [mean(&vec![1.0; logs.len()]), low, high].map(|x| short(&x.exp().to_string()));
+    format!("{at} ({low} … {high})")
 }
 
 /// Errors of a linear decoder on each design as designed, and on its casts (medians over casts): geometric means over seeds, and for
@@ -112,7 +129,7 @@ pub fn casts() -> String {
 }
 
 /// Whether the trained body with two sensors has less held-out error than the initial body with six: with a linear decoder, by
-/// geometric means over placements with and without noise; with the paper's network, the ratio and its interval over placements.
+/// geometric means over placements with and without noise; with the paper's network, the ratio and its interval.
 pub fn two_against_six() -> [String; 2] {
     let rows = rows("authors/trials.csv");
     let logs = |scene: &str, decoder: &str, noise: &str, error: &str| -> Vec<f64> {
@@ -124,13 +141,15 @@ pub fn two_against_six() -> [String; 2] {
         let two = logs("K = 4, M = 2", decoder, noise, "holdout_trained");
         six.iter().zip(two).map(|(six, two)| six - two).collect()
     };
+    let network = [("scene", "K = 4, M = 2"), ("decoder", "the paper's network")];
+    let units: Vec<&Row> = of(&rows, &network).collect();
     let less = |noise: &&str| ratios("linear", noise).iter().sum::<f64>() > 0.0;
     let linear = match ["0", "0.03"].into_iter().filter(less).count() {
         2 => "beat",
         1 => "do not always beat",
         _ => "do not beat",
     };
-    [linear.to_owned(), with_interval(&ratios("the paper's network", "0"), f64::exp)]
+    [linear.to_owned(), with_units(&units, &ratios("the paper's network", "0"))]
 }
 
 /// The discs of each size, one seed: held-out errors by noise, and the slope of their logarithms on that of the number of units,

@@ -54,8 +54,11 @@ fn trials() -> Vec<Trial> {
         let row = by_hash.get(&*of.hash).unwrap_or_else(|| panic!("no row of {}", of.hash));
         let number = |name: &str| row.get(name).and_then(|cell| cell.parse::<f64>().ok());
         let errors = |long: &str| {
-            ["initial", "optimised"]
-                .map(|body| ["test", "holdout"].map(|set| number(&format!("{long}{set}_error_{body}"))))
+            ["initial", "optimised"].map(|body| {
+                let [test, holdout] =
+                    ["test", "holdout"].map(|set| number(&format!("{long}{set}_error_{body}")));
+                [test, holdout, None]
+            })
         };
         let point = &of.spec.point;
         // With four forces, networks have as many training samples as linear decoders, but smaller test and held-out sets.
@@ -100,7 +103,7 @@ fn in_the_authors_scenes() -> Vec<Row> {
         let (brain, noise) =
             (if row["decoder"] == "linear" { "linear" } else { "cnn" }, number(row, "noise"));
         let whole = |name: &str| number(row, name) as u64;
-        let errors = |body: &str| ["test", "holdout"].map(|set| Some(number(row, &format!("{set}_{body}"))));
+        let error = |set: &str, body: &str| Some(number(row, &format!("{set}_{body}")));
         Trial {
             setting: settings.of(&json!({
                 "brain": { "kind": brain },
@@ -110,7 +113,7 @@ fn in_the_authors_scenes() -> Vec<Row> {
             panels: row["scene"]["K = ".len()..].split(',').next().unwrap().parse().unwrap(),
             sensors: whole("sensors"),
             cluster: Cluster { placement: whole("placement"), seed: whole("seed") },
-            errors: ["initial", "trained"].map(errors),
+            errors: ["initial", "trained"].map(|body| [error("test", body), error("holdout", body), None]),
             hash: row.values().cloned().collect::<Vec<_>>().join(" "),
             ..Trial::default()
         }

@@ -13,11 +13,13 @@ use metasense_numerics::dynamics::{
 };
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
+use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{
     BodyModel, Decoder, DecoderKind, FinalComparison, Normalisation, OuterLoop, Placing, Problem,
     RateSchedule, RidgeChoice, ScenePolygons, Training,
 };
 use metasense_schemas::spec::{self, SweepPoint, TrialSpec};
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::sync::Arc;
 
 mod body;
@@ -78,7 +80,6 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     let mut problem = Problem {
         body,
-        kept: fixed_shape_units(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,
         initial,
@@ -145,6 +146,31 @@ pub fn estimable(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
     require(with_force(&train) >= RECORDS_MIN, "stimuli.samples", trial.stimuli.samples, remedy)?;
     let remedy = "sensing tasks need ten held-out samples with force: raise it, or lower stimuli.silent";
     require(with_force(&problem.holdout()) >= RECORDS_MIN, "stimuli.holdout", trial.stimuli.holdout, remedy)
+}
+
+/// Why a trial without forces is refused.
+pub(crate) const NO_FORCE: &str = "no training sample has a force; check stimuli.onset, stimuli.width and stimuli.amplitude against \
+                                   time.duration and time.samples, or the clock and the scale of the records";
+/// Greatest number of forces that the plan draws to find one that is not 0.
+const DRAWN_MAX: usize = 10_000_000;
+
+/// Checks that a training sample of some seed has a force, unless this takes long.
+///
+/// # Errors
+/// If no sample has a force.
+pub fn check_forces(mut problem: Problem, seeds: &[u64]) -> Result<(), Invalid> {
+    let mut left = DRAWN_MAX;
+    for &seed in seeds {
+        problem.seed = seed;
+        for i in problem.stimuli.split(seed).0 {
+            let forces = problem.forces(Purpose::Stimulus, i as u64, 1);
+            match left.checked_sub(forces.values.len()) {
+                Some(rest) if with_force(&forces) == 0 => left = rest,
+                _ => return Ok(()),
+            }
+        }
+    }
+    Err(invalid("stimuli", "", NO_FORCE))
 }
 
 /// Names of the tasks whose labels vary among the training samples of a trial.
@@ -227,7 +253,19 @@ fn parts(trial: &TrialSpec) -> Result<OfBody, Invalid> {
     let relative_to = relative_to(trial, &layout, limits)?;
     check_castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout, material)?;
+    check_contact(&trial.body, &scene, &initial)?;
     Ok(OfBody { body: Arc::new(ScenePolygons), scene, limits, initial, relative_to })
+}
+
+/// Rejects a contact whose energy is infinite in the initial body.
+fn check_contact(body: &spec::Body, scene: &Scene, initial: &[f64]) -> Result<(), Invalid> {
+    let Some(contact) = body.contact.filter(|_| scene.imposed.is_empty()) else { return Ok(()) };
+    // as in the simulation, angles below -90 degrees are those above 180 degrees
+    let angle = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
+    let voids = scene.geometry(initial).void_angles(&scene.layout);
+    let least = voids.into_iter().flatten().map(angle).fold(f64::INFINITY, f64::min).to_degrees();
+    let remedy = format!("must be below {least:.3} degrees, the least void angle of the initial body");
+    require(contact.min_angle < least, "body.contact.min_angle", contact.min_angle, &remedy)
 }
 
 /// Design of the body to whose signals relative noise refers, if it is not the initial body.
@@ -396,12 +434,6 @@ pub fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     require(unknowns <= UNKNOWNS_MAX, "brain.memory", shown, &remedy)
 }
 
-/// Units that keep their initial shape.
-pub fn fixed_shape_units(feasible: &spec::Feasible, panels: &[usize], held: &[usize]) -> Vec<usize> {
-    let asked = [(feasible.keep_panels, panels), (feasible.keep_clamped, held)];
-    asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
-}
-
 /// The limits of a feasible design (rad, mm).
 ///
 /// # Errors
@@ -417,9 +449,9 @@ pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
         require((0.0..=180.0).contains(&angle), key, angle, "must lie between 0 and 180 degrees")?;
     }
     let (least, most) = (feasible.min_block_angle, feasible.max_block_angle);
-    let remedy =
-        "must be below 90 degrees, and feasible.max_block_angle above: the four angles of a unit average 90";
-    require(least < 90.0 && most > 90.0, "feasible.min_block_angle", least, remedy)?;
+    let average = "90 degrees, the average of the four angles of a unit";
+    require(least < 90.0, "feasible.min_block_angle", least, &format!("must be below {average}"))?;
+    require(most > 90.0, "feasible.max_block_angle", most, &format!("must be above {average}"))?;
     not_negative("feasible.min_edge", feasible.min_edge)?;
     not_negative("feasible.clearance", feasible.clearance)?;
     not_negative("feasible.ligament_clearance", feasible.ligament_clearance)?;
@@ -468,9 +500,6 @@ fn scene(
     let remedy = format!("the layout has {} free units to carry sensors", sensors.len());
     let found = searched || sensors.len() == trial.point.sensors && !sensors.is_empty();
     require(found, "sweep.sensors", trial.point.sensors, &remedy)?;
-    let turned = body.panel_angle.unwrap_or_default();
-    let remedy = "must lie between -180 and 180 degrees";
-    require((-180.0..=180.0).contains(&turned), "body.panel_angle", turned, remedy)?;
     let angle = f64::to_radians;
     let scene = Scene {
         density,

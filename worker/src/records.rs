@@ -139,7 +139,8 @@ pub const CUT: f64 = 0.05;
 /// Names the record.
 pub fn check_records(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
     check_copies(trial, problem)?;
-    check_shifts(problem)
+    let triggered = trial.stimuli.recorded.as_ref().is_some_and(|recorded| recorded.trigger.is_some());
+    check_shifts(problem, triggered)
 }
 
 /// Rejects records without any force, and two of the same force on the same panel: a copy would train and test the same decoder.
@@ -182,7 +183,7 @@ pub fn fingerprint(values: &[f64]) -> blake3::Hash {
 }
 
 /// Checks that shifted fresh samples, of `joint` or of a decoder for all casts, contain the whole force of their records.
-fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
+fn check_shifts(problem: &Problem, triggered: bool) -> Result<(), Invalid> {
     if !matches!(problem.optimise.protocol, TrainingProtocol::Joint(_)) && problem.evaluation.casts == 0 {
         return Ok(());
     }
@@ -194,8 +195,8 @@ fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
     let instants = |time: f64| (time * histories.instants as f64 / problem.scene.duration).round() as usize;
     let [early, late] = [instants(-shift[0]), instants(shift[1])];
     let peak = |values: &[f64]| values.iter().fold(0.0, |peak: f64, f| peak.max(f.abs()));
-    let remedies =
-        [(early, "the beginning", "raise trigger.before"), (late, "the end", "lengthen time.duration")];
+    let begin = if triggered { "raise trigger.before" } else { "use records that begin earlier" };
+    let remedies = [(early, "the beginning", begin), (late, "the end", "lengthen time.duration")];
     for (end, (cut, place, remedy)) in remedies.into_iter().enumerate() {
         for i in 0..histories.samples {
             let lost = |history: &[f64]| {

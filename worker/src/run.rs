@@ -14,7 +14,7 @@ use crate::clock::cpu_seconds;
 use crate::convert;
 use crate::external;
 use crate::limits::{Needs, explained};
-use crate::problem::problem;
+use crate::problem::{NO_FORCE, problem};
 use crate::simd;
 
 /// Observer of a trial.
@@ -84,15 +84,13 @@ pub fn run_trial(
     Ok(TrialResult { drawings, ..result(trial, optimised, placed, pool) })
 }
 
-const NO_FORCE: &str = "stimuli: no training sample has a force; check stimuli.onset and stimuli.amplitude against time.duration, or the \
-                        clock and the scale of the records";
 const FEW_FORCES: &str = "stimuli.samples: there must be two training samples or more whose forces differ; raise stimuli.samples, or \
                           lower stimuli.test";
 
 impl From<trial::Failure> for NoResult {
     fn from(failure: trial::Failure) -> Self {
         match failure.trouble() {
-            trial::Trouble::NoForce => return Self::Rejected(NO_FORCE.to_owned()),
+            trial::Trouble::NoForce => return Self::Rejected(format!("stimuli: {NO_FORCE}")),
             trial::Trouble::FewForces => return Self::Rejected(FEW_FORCES.to_owned()),
             _ => {}
         }

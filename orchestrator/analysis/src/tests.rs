@@ -65,7 +65,7 @@ fn campaign(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<Tr
             // equal loss at 1/ratio of the iterations
             let curve = |factor: f64| vec![(1, 1.0), ((1e6 / factor) as u32, 0.1)];
             let iterations = [vec![], Vec::from_iter(iteration_ratio(&curve(1.0), &curve(ratio)))];
-            let errors = [[None, Some(10.0 * ratio)], [None, Some(10.0)]];
+            let errors = [[None, Some(10.0 * ratio), None], [None, Some(10.0), None]];
             trials.push(Trial { cluster, sensors, errors, iterations, ..Trial::default() });
         }
     }
@@ -129,9 +129,8 @@ fn ratios_of_trials_with_outlying_samples() {
             for sensors in 1..=3 {
                 let bodies = [20.0 * effect.exp(), 10.0];
                 let found = [0, 1].map(|body: usize| samples(draw, bodies[body], outliers[body]));
-                let errors = found.each_ref().map(|errors| [None, mean(errors)]);
-                let medians = found.map(|errors| Some(median(errors)));
-                trials.push(Trial { cluster, sensors, errors, medians, ..Trial::default() });
+                let errors = found.map(|errors| [None, mean(&errors), Some(median(errors))]);
+                trials.push(Trial { cluster, sensors, errors, ..Trial::default() });
             }
         }
         trials
@@ -211,10 +210,10 @@ fn what_the_next_sensor_brings() {
 #[test]
 fn random_bodies() {
     let share = coverage("random: 6 bodies", 1000, 1.5, |draw| {
-        let mut trials = vec![Trial { errors: [[None, Some(10.0)]; 2], ..Trial::default() }];
+        let mut trials = vec![Trial { errors: [[None, Some(10.0), None]; 2], ..Trial::default() }];
         for body in 0..6 {
             let setting = [(RANDOM.to_owned(), json!(body))].into_iter().collect();
-            let errors = [[None, Some(15.0 * (0.3 * draw.normal()).exp())]; 2];
+            let errors = [[None, Some(15.0 * (0.3 * draw.normal()).exp()), None]; 2];
             trials.push(Trial { setting, errors, ..Trial::default() });
         }
         let [initial, _] = random(&trials.iter().collect::<Vec<_>>(), Set::Holdout)?.ratios;
@@ -231,7 +230,7 @@ fn random_bodies_are_told_apart_by_their_spread() {
         let told = drawn.filter(|(path, value)| *path != SPREAD || value != 0.25);
         let setting = told.map(|(path, value)| (path.to_owned(), value)).collect();
         let error = 10.0 * (1.0 + spread.unwrap_or_default());
-        Trial { setting, errors: [[None, Some(error)]; 2], ..Trial::default() }
+        Trial { setting, errors: [[None, Some(error), None]; 2], ..Trial::default() }
     };
     let trials = [of(None, 0), of(Some(0.5), 1), of(Some(0.25), 1), of(Some(0.25), 2)];
     let [few, both] = [2, 4].map(|count| random_groups(&trials[..count].iter().collect::<Vec<_>>()));

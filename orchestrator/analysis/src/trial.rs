@@ -71,7 +71,8 @@ impl Set {
 
     /// Returns the sets for which trials have errors. Trials of versions before 15 have no medians.
     pub fn with_errors(trials: &[&Trial]) -> impl Iterator<Item = Self> + use<> {
-        let median = trials.iter().any(|t| [t.medians, t.long_medians].concat().iter().any(Option::is_some));
+        let errors = |t: &&Trial| [t.errors, t.long_errors].concat();
+        let median = trials.iter().flat_map(errors).any(|of| of[Self::Median as usize].is_some());
         Self::ALL.into_iter().filter(move |set| median || *set != Self::Median)
     }
 }
@@ -154,14 +155,10 @@ pub struct Trial {
     pub units: u64,
     /// Length of α.
     pub design_parameters: u64,
-    /// Error (%), `[initial, trained][test, held-out]`, mean over the networks of the comparison.
-    pub errors: [[Option<f64>; 2]; 2],
+    /// Error (%) by body and set, mean over the networks of the comparison. Medians are `None` before version 15.
+    pub errors: [[Option<f64>; 3]; 2],
     /// The same after long training.
-    pub long_errors: [[Option<f64>; 2]; 2],
-    /// Median error over held-out samples (%) by body, mean over the networks of the comparison. `None` before version 15.
-    pub medians: [Option<f64>; 2],
-    /// The same after long training.
-    pub long_medians: [Option<f64>; 2],
+    pub long_errors: [[Option<f64>; 3]; 2],
     /// Errors of linear decoders, for any decoder of the trial. Empty before version 4.
     pub readings: Vec<LinearErrors>,
     /// Errors on casts of both bodies; empty without casts.
@@ -194,12 +191,12 @@ pub struct Trial {
 impl Trial {
     /// Returns an error (%); `None` unless it is positive and finite.
     pub fn error(&self, body: BodyState, set: Set) -> Option<f64> {
-        error_of(&self.errors, &self.medians, body, set)
+        positive(self.errors[body as usize][set as usize])
     }
 
     /// Returns an error after long training (%); `None` unless it is positive and finite.
     pub fn long_error(&self, body: BodyState, set: Set) -> Option<f64> {
-        error_of(&self.long_errors, &self.long_medians, body, set)
+        positive(self.long_errors[body as usize][set as usize])
     }
 
     /// Returns the errors of the linear decoder with the longest memory.
@@ -223,8 +220,7 @@ impl Trial {
         if self.has_steps() {
             return;
         }
-        (self.errors[1], self.long_errors[1], self.nonlinear[1]) = ([None; 2], [None; 2], [None; 2]);
-        (self.medians[1], self.long_medians[1]) = (None, None);
+        (self.errors[1], self.long_errors[1], self.nonlinear[1]) = ([None; 3], [None; 3], [None; 2]);
         self.readings.iter_mut().for_each(|reading| reading.errors[1] = [None; 3]);
         for curves in [&mut self.curves, &mut self.error_curves, &mut self.long_curves] {
             curves[1].clear();
@@ -253,16 +249,7 @@ impl Trial {
     }
 }
 
-/// Returns an error of a body (%), if it is positive and finite.
-fn error_of(
-    errors: &[[Option<f64>; 2]; 2],
-    medians: &[Option<f64>; 2],
-    body: BodyState,
-    set: Set,
-) -> Option<f64> {
-    let error = match set {
-        Set::Test | Set::Holdout => errors[body as usize][set as usize],
-        Set::Median => medians[body as usize],
-    };
+/// Returns an error (%), if it is positive and finite.
+fn positive(error: Option<f64>) -> Option<f64> {
     error.filter(|e| e.is_finite() && *e > 0.0)
 }

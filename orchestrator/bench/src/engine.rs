@@ -41,9 +41,6 @@ pub struct Args {
     /// Length of the array of each result (float64).
     #[arg(long, default_value_t = 0)]
     array: u64,
-    /// Read the arrays without recording them, to measure shared memory only.
-    #[arg(long)]
-    drop_arrays: bool,
     /// Keep the database; resume an existing one.
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
@@ -115,7 +112,6 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         threads: 1,
         niceness: 0,
         memory_mib: None,
-        keep_arrays: !args.drop_arrays,
         program: PathBuf::from("/proc/self/exe"),
     };
     let (cpu, began) = (cpu_seconds(), Instant::now());
@@ -131,7 +127,6 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
         "steps": args.steps,
         "step_ms": args.step_ms,
         "array_bytes": args.array * 8,
-        "arrays_recorded": !args.drop_arrays,
         "trials": summary.view.done,
         "failed": summary.view.failed,
         "stale": summary.stale,

@@ -6,7 +6,6 @@
 mod brain;
 mod dynamics;
 mod engine;
-mod protocols;
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -38,7 +37,6 @@ enum What {
     Brain(brain::Args),
     Dynamics(dynamics::Args),
     Engine(engine::Args),
-    Protocols(protocols::Args),
     /// Runs a worker of the engine.
     #[command(hide = true)]
     Worker {
@@ -59,7 +57,6 @@ fn dispatch(cli: Cli) -> Result<Exit, Error> {
         What::Brain(args) => brain::execute(&args),
         What::Dynamics(args) => dynamics::execute(&args),
         What::Engine(args) => block_on(engine::execute(args)),
-        What::Protocols(args) => protocols::execute(&args),
         What::Worker { start } => {
             std::process::exit(metasense_worker::process::run(&start, engine::noop::perform))
         }
@@ -82,11 +79,6 @@ fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
         writeln!(file, "{line}").map_err(failed)?;
     }
     Ok(())
-}
-
-/// File name of a path, for `head`.
-fn file_name(path: &Path) -> String {
-    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// The instruction sets up to the process's own, widest first.

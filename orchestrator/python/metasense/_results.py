@@ -240,8 +240,16 @@ _STEPS = "SELECT hash, step, error_test FROM v_step WHERE recorded_at >= '{since
 
 
 def watch(db: Database | str | PathLike[str], *, every: float = 1.0) -> Iterator[Event]:
-    """Steps and changes of state as a run records them, polled every `every` seconds, until no run is writing."""
-    database = db if isinstance(db, Database) else Database(db)
+    """Steps and changes of state as a run records them, polled every `every` seconds, until no run is writing.
+
+    Raises ValueError if `every` is negative or there is no database.
+    """
+    if not 0 <= every <= threading.TIMEOUT_MAX:
+        raise ValueError(f"every = {every}: must be a number of seconds, at least 0")
+    return _events(db if isinstance(db, Database) else Database(db), every)
+
+
+def _events(database: Database, every: float) -> Iterator[Event]:
     states: dict[str, str] = {}
     seen: set[tuple[str, int]] = set()
     since = ""

@@ -17,7 +17,7 @@ pub struct NumericArray {
 /// Copies `numpy.asarray(object)`.
 ///
 /// # Errors
-/// `TypeError` if it contains other than real numbers, `ValueError` if it is no array.
+/// `TypeError` if it contains other than real numbers or is a masked array, `ValueError` if it is no array.
 pub fn numbers(what: &str, object: &Bound<'_, PyAny>) -> PyResult<NumericArray> {
     of_kind("fiub", "real numbers", what, object)
 }
@@ -25,13 +25,20 @@ pub fn numbers(what: &str, object: &Bound<'_, PyAny>) -> PyResult<NumericArray> 
 /// As [`numbers`], for these kinds of dtype.
 fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> PyResult<NumericArray> {
     static AS_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    static IS_MASKED: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let py = object.py();
+    // `asarray` drops the mask.
+    if IS_MASKED.import(py, "numpy.ma", "isMaskedArray")?.call1((object,))?.is_truthy()? {
+        return Err(PyTypeError::new_err(format!(
+            "{what} is a masked array; pass a plain one, such as .filled(0)"
+        )));
+    }
     let as_array = AS_ARRAY.import(py, "numpy", "asarray")?;
     let array = as_array.call1((object,)).map_err(|e| PyValueError::new_err(format!("{what}: {e}")))?;
     let dtype = array.cast::<PyUntypedArray>()?.dtype();
     let kind: char = dtype.getattr("kind")?.extract()?;
-    // numpy gives empty lists the dtype float64
-    let untyped = kind == 'f' && array.len()? == 0;
+    // numpy gives empty lists the dtype float64; a scalar has no length
+    let untyped = kind == 'f' && array.getattr("size")?.extract::<usize>()? == 0;
     if !kinds.contains(kind) && !untyped {
         return Err(PyTypeError::new_err(format!("{what} has dtype {dtype}; it must hold {which}")));
     }

@@ -155,25 +155,11 @@ impl PyTable {
 
     fn _repr_html_(&self) -> String {
         const MOST: usize = 20;
-        let escaped = |text: &str| text.replace('&', "&amp;").replace('<', "&lt;");
-        let cells = |tag: &str, texts: Vec<String>| -> String {
-            let cells: String =
-                texts.iter().map(|text| format!("<{tag}>{}</{tag}>", escaped(text))).collect();
-            format!("<tr>{cells}</tr>\n")
-        };
-        let shown = |value: &Value| match value {
-            Value::Null => String::new(),
-            Value::String(text) => text.clone(),
-            Value::Number(n) if n.is_f64() => format!("{:.4}", n.as_f64().unwrap_or(f64::NAN)),
-            other => cell::plain(other),
-        };
-        let mut html = cells("th", self.rows.columns.clone());
-        for row in self.rows.rows.iter().take(MOST) {
-            html += &cells("td", row.iter().map(shown).collect());
-        }
-        let more = self.batch.num_rows().saturating_sub(MOST);
+        let Rows { columns, rows } = &self.rows;
+        let shown = Rows { columns: columns.clone(), rows: rows.iter().take(MOST).cloned().collect() };
+        let more = rows.len().saturating_sub(MOST);
         let note = if more > 0 { format!("<p>and {more} more rows</p>") } else { String::new() };
-        format!("<table>\n{html}</table>{note}")
+        shown.html(None).into_string() + &note
     }
 }
 

@@ -1,6 +1,7 @@
 //! The Python class `Body`: properties, feasible designs, stimuli and simulation.
 
 use std::convert::Infallible;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
@@ -185,10 +186,17 @@ fn unplaced(said: &str) -> String {
     said.lines().map(bare).collect::<Vec<_>>().join("\n")
 }
 
+/// A path: text, bytes or `os.PathLike`.
+pub fn path(given: &Bound<'_, PyAny>) -> PyResult<PathBuf> {
+    given.py().import("os")?.call_method1("fsdecode", (given,))?.extract()
+}
+
 /// Plans the trials of a spec file with changes, each `KEY=VALUE`.
 pub fn read_plan(spec: &Path, changes: &[String]) -> PyResult<Plan> {
-    let text = std::fs::read_to_string(spec)
-        .map_err(|e| PyOSError::new_err(format!("cannot read {}: {e}", spec.display())))?;
+    let text = metasense::files::read_spec(spec).map_err(|e| match e.kind() {
+        ErrorKind::InvalidData => PyValueError::new_err(e.to_string()),
+        _ => PyOSError::new_err(format!("cannot read {}: {e}", spec.display())),
+    })?;
     let plan = Source::spec(spec, text, changes).and_then(Plan::of);
     plan.map_err(|e| PyValueError::new_err(chain(&e)))
 }
@@ -248,7 +256,7 @@ impl PyBody {
     #[pyo3(signature = (spec, hash=None, *, threads=1))]
     fn from_spec(
         py: Python<'_>,
-        spec: PathBuf,
+        #[pyo3(from_py_with = path)] spec: PathBuf,
         hash: Option<&str>,
         #[pyo3(from_py_with = threads)] threads: usize,
     ) -> PyResult<Self> {

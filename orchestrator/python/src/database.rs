@@ -1,6 +1,10 @@
 //! Read-only access to a database of finished and running trials.
 
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
 
 use clap::ValueEnum;
 use metasense::analysis::{DecisionTerms, Question};
@@ -16,7 +20,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::arrow::PyTable;
-use crate::body::read_plan;
+use crate::body::{path, read_plan};
 use crate::chain;
 use crate::threads::threads;
 
@@ -26,24 +30,46 @@ pub struct Database {
     path: PathBuf,
 }
 
+/// Time between two checks for signals.
+const SIGNALS: Duration = Duration::from_millis(100);
+
 fn raised(error: &StoreError) -> PyErr {
     let text = chain(error);
     if error.is_bad_input() { PyValueError::new_err(text) } else { PyOSError::new_err(text) }
 }
 
 impl Database {
-    /// Runs `ask` on the database without the interpreter's lock.
+    /// Runs `ask` on the database without the interpreter's lock. A signal whose handler raises ends the statement.
     fn asked<T: Send>(
         &self,
         py: Python<'_>,
         ask: impl AsyncFnOnce(&mut Reader) -> Result<T, StoreError> + Send,
     ) -> PyResult<T> {
-        py.detach(|| {
+        let stop = Arc::new(AtomicBool::new(false));
+        let asking = || {
             let runtime = tokio::runtime::Builder::new_current_thread()
                 .enable_all()
                 .build()
                 .map_err(|e| PyOSError::new_err(e.to_string()))?;
+            let ask = async |reader: &mut Reader| {
+                reader.stop_when(Arc::clone(&stop)).await?;
+                ask(reader).await
+            };
             runtime.block_on(Reader::with_reader(&self.path, ask)).map_err(|e| raised(&e))
+        };
+        py.detach(|| {
+            let (done, answer) = channel();
+            std::thread::scope(|scope| {
+                scope.spawn(move || done.send(asking()).is_ok());
+                loop {
+                    match answer.recv_timeout(SIGNALS) {
+                        Ok(answer) => return answer,
+                        Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals())
+                            .inspect_err(|_| stop.store(true, Ordering::Relaxed))?,
+                        Err(RecvTimeoutError::Disconnected) => panic!("the thread has panicked"),
+                    }
+                }
+            })
         })
     }
 }
@@ -137,6 +163,9 @@ impl Database {
 
 /// The database that `metasense run` writes for a spec with changes (KEY=VALUE), unless `--db` is given.
 #[pyfunction]
-pub fn default_database(spec: PathBuf, changes: Vec<String>) -> PyResult<PathBuf> {
+pub fn default_database(
+    #[pyo3(from_py_with = path)] spec: PathBuf,
+    changes: Vec<String>,
+) -> PyResult<PathBuf> {
     Ok(read_plan(&spec, &changes)?.default_database())
 }

@@ -16,6 +16,7 @@ mod inverse;
 mod simulation;
 mod threads;
 
+use metasense::cli::with_causes as chain;
 use metasense_worker::run::NoResult;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -33,17 +34,6 @@ fn raised(failure: &NoResult) -> PyErr {
         NoResult::Rejected(what) => PyValueError::new_err(what.clone()),
         failure => PyRuntimeError::new_err(failure.to_string()),
     }
-}
-
-/// An error and its causes, one per line.
-fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(e) = cause {
-        text += &format!("\n  because: {e}");
-        cause = e.source();
-    }
-    text
 }
 
 /// The function of this module that restores a pickle.

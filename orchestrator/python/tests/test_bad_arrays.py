@@ -56,6 +56,14 @@ def test_what_is_no_such_array_is_refused(body, number):
         simulation.vjp(bad(simulation.signals.copy())[number])
 
 
+def test_scalars_and_masked_arrays_are_refused_by_name(body):
+    forces = body.stimuli("test")
+    with pytest.raises(ValueError, match=r"the forces have shape \[\]"):
+        body.simulate(body.alpha, np.float64(3))
+    with pytest.raises(TypeError, match="forces is a masked array"):
+        body.simulate(body.alpha, np.ma.masked_invalid(forces))
+
+
 def test_random_shapes_and_numbers(body):
     """A thousand arrays of any shape, size, strides and dtype: an answer, or a refusal."""
     rng = np.random.default_rng(1)

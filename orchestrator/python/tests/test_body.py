@@ -1,6 +1,7 @@
 """A body from Python is the trial's: the same signals, stimuli and designs to the bit."""
 
 import json
+import os
 
 import metasense
 import numpy as np
@@ -169,6 +170,14 @@ def test_a_body_by_keywords_is_that_of_the_file(body, spec):
 def test_specs_and_hashes_that_are_none(spec, tmp_path):
     with pytest.raises(OSError, match="missing.toml"):
         metasense.Body.from_spec(tmp_path / "missing.toml")
+    assert metasense.Body.from_spec(os.fsencode(spec)).hash == metasense.Body.from_spec(spec).hash
+    for name, text, why in [
+        ("s.sqlite", b"SQLite format 3\0", "s.sqlite is a database; SPEC must be the .toml file"),
+        ("wide.toml", spec.read_text().encode("utf-16"), "wide.toml is not UTF-8"),
+    ]:
+        (tmp_path / name).write_bytes(text)
+        with pytest.raises(ValueError, match=why):
+            metasense.Body.from_spec(tmp_path / name)
     with pytest.raises(ValueError, match="zzzz: no hash begins with this text"):
         metasense.Body.from_spec(spec, "zzzz")
     wrong = tmp_path / "wrong.toml"

@@ -1,6 +1,10 @@
 """Runs and their results: the command's, as arrays and data frames."""
 
 import json
+import os
+import signal
+import threading
+import time
 
 import metasense
 import numpy as np
@@ -97,7 +101,19 @@ def test_questions_are_answered_as_by_the_command(database, command, tmp_path):
         database.analyse("eibow")
 
 
+def test_a_query_can_be_interrupted(database):
+    timer = threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT])
+    timer.start()
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        database.query("WITH RECURSIVE n(i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n) SELECT count(*) FROM n")
+    assert time.monotonic() - begun < 20
+    assert len(database.trials()) == 2
+
+
 def test_watch_sees_every_step_and_the_end(database):
+    with pytest.raises(ValueError, match="every = -1: must be"):
+        metasense.watch(database, every=-1)
     events = list(metasense.watch(database, every=0.1))
     assert sum(event.step is not None for event in events) == 16
     assert [event.state for event in events if event.step is None] == ["done", "done"]
@@ -117,4 +133,4 @@ def test_a_run_that_cannot_be_says_why(spec, tmp_path):
 
 def test_tables_draw_themselves(database):
     html = database.query("SELECT '<b>' AS a")._repr_html_()
-    assert "&lt;b>" in html and "<b>" not in html
+    assert "&lt;b&gt;" in html and "<b>" not in html

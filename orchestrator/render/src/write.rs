@@ -24,6 +24,26 @@ pub enum Format {
     Parquet,
 }
 
+impl Format {
+    /// Refuses columns of one name in the formats that allow only one.
+    ///
+    /// # Errors
+    /// A message with the name.
+    pub fn check(self, columns: &[String]) -> Result<(), String> {
+        let what = match self {
+            Self::Table | Self::Csv => return Ok(()),
+            Self::Json => "a JSON object",
+            Self::Parquet => "a Parquet file",
+        };
+        match columns.iter().enumerate().find(|(i, name)| columns[..*i].contains(name)) {
+            None => Ok(()),
+            Some((_, name)) => Err(format!(
+                "two columns are named {name}, but {what} can contain only one: rename them with AS"
+            )),
+        }
+    }
+}
+
 /// Prints rows to standard output.
 ///
 /// # Errors

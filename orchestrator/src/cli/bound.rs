@@ -111,9 +111,9 @@ async fn bounds_and_errors(
     })
     .await?;
     if trials.is_empty() {
-        let (db, hash) = (db.display(), short_hash(hash));
+        let (word, db, hash) = (crate::files::quoted(db), db.display(), short_hash(hash));
         return usage!(
-            "{db} contains no finished trial with the scene of {hash}; see `metasense status {db}`"
+            "{db} contains no finished trial with the scene of {hash}; see `metasense status {word}`"
         );
     }
     // keyed by the bits of the design: the bound of equal bodies is computed once

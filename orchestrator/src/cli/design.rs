@@ -6,6 +6,7 @@ use super::named::Spec;
 use super::run::{RunConfig, Running, run};
 use super::{Error, Format, log, print_rows};
 use crate::exit::Exit;
+use crate::files;
 use crate::plan::{Plan, counted};
 use crate::reader::Reader;
 use crate::report::search::{COLUMNS, SearchState};
@@ -33,8 +34,9 @@ const FIXED: &str = "[goal] decides which trials are run: stop the search; the s
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.running.simd.choose()?;
-    let mut signals = Signals::new()?;
+    // Before signals are received, as in `run`.
     let plan = args.spec.plan()?;
+    let mut signals = Signals::new()?;
     let space = space(&plan)?;
     let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
     let asked = Notify::new();
@@ -73,7 +75,7 @@ pub(super) async fn end(
     let chosen = found.chosen();
     if let Some((trial, _)) = chosen {
         let reader = if found.reads_all_casts() { " --reader casts" } else { "" };
-        say!("  metasense export {} {} --format device{reader} --out device", db.display(), trial.hash);
+        say!("  metasense export {} {} --format device{reader} --out device", files::quoted(db), trial.hash);
     }
     Ok(match (outcome, chosen) {
         (RunOutcome::Interrupted, _) => Exit::Interrupted,

@@ -1,6 +1,5 @@
 //! Errors of commands.
 
-use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
 use metasense_lab::measured::MeasuredError;
@@ -83,6 +82,17 @@ pub enum Error {
     Control(#[from] ControlError),
 }
 
+/// An error and its causes, one per line.
+pub fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(e) = cause {
+        text += &format!("\n  because: {e}");
+        cause = e.source();
+    }
+    text
+}
+
 impl From<Shortage> for Error {
     fn from(short: Shortage) -> Self {
         Self::Short(short.to_string())
@@ -143,12 +153,7 @@ impl Error {
 
     /// Prints the error and its causes on standard error.
     pub fn say(&self) {
-        say!("error: {self}");
-        let mut cause = self.source();
-        while let Some(e) = cause {
-            say!("  because: {e}");
-            cause = e.source();
-        }
+        say!("error: {}", with_causes(self));
     }
 
     /// Whether the program that reads our output has closed the pipe.

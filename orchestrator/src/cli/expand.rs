@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use metasense_lab::cost;
 use metasense_lab::modes::{Natural, natural_frequencies};
 use metasense_worker::problem::measures;
+use metasense_worker::run::NoResult;
 use metasense_worker::simd::name;
 use serde_json::Value;
 
@@ -55,12 +56,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
     say!("{most}{trials}, about {time} on one core with {}", name());
+    plan.warnings.iter().for_each(|why| say!("warning: {why}"));
     say_bodies(&plan.trials);
     Ok(Exit::Done)
 }
 
 /// Maximum number of bodies whose mass and frequencies are computed.
 const BODIES: usize = 8;
+/// Units of a body above which its frequencies are not computed.
+const FREQUENCY_UNITS: usize = 1000;
 /// Oscillations of the first mode per sample below which a warning is printed.
 const LEAST_OSCILLATIONS: f64 = 0.1;
 /// Mass (g) above which a warning is printed.
@@ -78,9 +82,17 @@ fn say_bodies(trials: &[PlannedTrial]) {
     }
     let mass = |trial: &&PlannedTrial| Some(measures(&trial.spec).ok()?[0]).filter(|m| m.is_finite());
     let grams: Vec<f64> = bodies.iter().filter_map(mass).collect();
-    // a body without small motions about rest has none
-    let found: Vec<(&PlannedTrial, Natural)> =
-        bodies.iter().filter_map(|trial| Some((*trial, natural_frequencies(&trial.spec).ok()?))).collect();
+    let (small, large): (Vec<_>, Vec<_>) =
+        bodies.iter().copied().partition(|trial| trial.units <= FREQUENCY_UNITS);
+    let (mut found, mut missing): (Vec<(&PlannedTrial, Natural)>, _) = (Vec::new(), None);
+    for trial in small {
+        match natural_frequencies(&trial.spec) {
+            Ok(natural) => found.push((trial, natural)),
+            // a body without small motions about rest
+            Err(NoResult::Rejected(why)) => missing = missing.or(Some(why)),
+            Err(_) => {}
+        }
+    }
     let range = |values: &[f64]| {
         let [least, most] = [f64::min, f64::max].map(|pick| values.iter().copied().reduce(pick));
         let [least, most] = [least, most].map(|x| number(x.unwrap_or(0.0)));
@@ -88,6 +100,14 @@ fn say_bodies(trials: &[PlannedTrial]) {
     };
     if grams.is_empty() {
         return;
+    }
+    if let Some(why) = missing {
+        say!("no natural frequencies: {why}");
+    }
+    if !large.is_empty() {
+        say!(
+            "natural frequencies are not computed for bodies of more than {FREQUENCY_UNITS} units; `metasense body modes` does"
+        );
     }
     let of: [fn(&Natural) -> f64; 3] = [|found| found.first, |found| found.damping, |found| found.highest];
     let ranges = of.map(|of| range(&found.iter().map(|(_, natural)| of(natural)).collect::<Vec<_>>()));

@@ -11,7 +11,7 @@ use metasense_worker::problem::LigamentMaterial;
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
-use super::{Error, cores, make_folder, write};
+use super::{Error, cores, make_folder, print_path, write};
 use crate::analysis::BodyState;
 use crate::exit::Exit;
 use crate::export::device::Numbers;
@@ -158,7 +158,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         provenance::unresolved(&stored.solver).iter().for_each(|caveat| say!("warning: {caveat}"));
         trial(&stored, &args)?;
     }
-    print_line!("{}", out.display())?;
+    print_path(out)?;
     Ok(Exit::Done)
 }
 

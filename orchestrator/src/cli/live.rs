@@ -24,8 +24,6 @@ use crate::scheduler::{RunOutcome, UNFIT_DEATHS};
 const BAR: u64 = 10_000;
 /// Time between two plain lines of progress.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// Fractions of the work at which the estimate of the total time is stored, to compare it with the actual time.
-const MARKS: [f64; 3] = [0.1, 0.33, 0.5];
 /// Maximum number of characters of a failure message.
 const MOST_TEXT: usize = 500;
 
@@ -35,10 +33,6 @@ pub struct Live<'a> {
     /// The bar, on a terminal.
     bar: Option<ProgressBar>,
     said: Instant,
-    /// Fraction of the work that was done before this run.
-    before: Option<f64>,
-    /// Fraction of the work and estimated total time (s) at each mark.
-    estimates: Vec<(f64, f64)>,
     /// Message of the last failed attempt.
     failed: String,
     /// Notified when the user asks for the end of the run.
@@ -62,7 +56,7 @@ impl<'a> Live<'a> {
             ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)
         });
         let (said, failed) = (Instant::now(), String::new());
-        let live = Self { bar, said, before: None, estimates: Vec::new(), failed, stop_notify: asked, axes };
+        let live = Self { bar, said, failed, stop_notify: asked, axes };
         let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
         let (open, workers) = (counted(open, "trial"), counted(workers as usize, "worker"));
         live.say(&format!("{open} to run on {workers}{before}"));
@@ -145,15 +139,7 @@ impl Watch for Live<'_> {
     }
 
     fn tick(&mut self, view: &View) {
-        let (part, eta) = (view.fraction(), view.eta());
-        let before = *self.before.get_or_insert(part);
-        let of_run = (part - before) / (1.0 - before).max(1e-9);
-        if let (Some(mark), Some(eta)) = (MARKS.get(self.estimates.len()), eta)
-            && of_run >= *mark
-        {
-            self.estimates.push((of_run, (view.elapsed + eta).as_secs_f64()));
-        }
-        let eta = eta.filter(|_| !view.paused);
+        let (part, eta) = (view.fraction(), view.eta().filter(|_| !view.paused));
         let to_go =
             eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
         let paused = if view.paused { "paused, " } else { "" };
@@ -177,19 +163,6 @@ impl Watch for Live<'_> {
     fn end(&mut self, view: &View, outcome: RunOutcome) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
-        }
-        let actual = view.elapsed.as_secs_f64();
-        for (part, estimate) in &self.estimates {
-            let (part, error) = (100.0 * part, 100.0 * (estimate / actual - 1.0));
-            tracing::info!(part_percent = part, error_percent = error, "error of the estimated time");
-        }
-        if outcome == RunOutcome::Complete && !self.estimates.is_empty() {
-            let texts = self.estimates.iter().map(|(part, estimate)| {
-                let error = 100.0 * (estimate / actual - 1.0);
-                format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
-            });
-            let said = texts.collect::<Vec<_>>().join(", ");
-            say!("took {}; estimates: {said} of the work", duration(actual));
         }
         if outcome == RunOutcome::Interrupted {
             let open = view.total - view.settled();

@@ -9,6 +9,7 @@ use crate::cluster::merge::{Extent, FindingKind, Summary, merge};
 use crate::cluster::state::{ShardState, never_begun, states};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
+use crate::files::quoted;
 use crate::look::{Table, row, short_hash};
 use crate::plan::counted;
 
@@ -52,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("{sweep}: {} of its {count} shards have no database: {}", missing.len(), ranges(missing));
     }
     let remedy = match args.facts {
-        false => format!("metasense run SPEC --db {}", args.out.display()),
+        false => format!("metasense run SPEC --db {}", quoted(&args.out)),
         true => "metasense cluster submit".to_owned(),
     };
     print_never_started(&never_begun(&args.files, &args.out).await?, &remedy);
@@ -83,7 +84,7 @@ pub(super) async fn merge_if_all_ended(folder: &Path, shard: Shard, out: &Path) 
     if let Err(error) = execute(Args::folder(folder, out)).await {
         // the shard itself is complete; another shard may be merging the same files
         error.say();
-        say!("to merge by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
+        say!("to merge by hand: metasense cluster merge {} --out {}", quoted(folder), quoted(out));
     }
     Ok(())
 }

@@ -65,13 +65,12 @@ use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use rustix::process::{Signal, set_parent_process_death_signal};
 
 use crate::exit::{EXIT_CODES, Exit};
-use crate::plan::Plan;
 use crate::signals::ignores_hangup;
 use metasense_worker::{limits, process};
 
 pub use crate::look::Format;
 use crate::look::{Table, duration, screen};
-pub use error::Error;
+pub use error::{Error, with_causes};
 pub use say::unless_closed;
 
 /// Maximum width of help texts (columns).
@@ -334,14 +333,6 @@ fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Reads and expands a spec file.
-///
-/// # Errors
-/// If the file cannot be read or is not a spec.
-pub fn read_plan(file: &Path) -> Result<Plan, Error> {
-    named::Spec { file: file.to_owned(), changes: Vec::new() }.plan()
-}
-
 /// Prints rows to standard output, see [`unless_closed`].
 ///
 /// # Errors
@@ -353,6 +344,11 @@ pub fn print_rows(table: &Table, format: Format) -> std::io::Result<()> {
 /// Writes a whole file.
 fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Error> {
     crate::files::write(path, bytes.as_ref()).map_err(Error::io("writing", path))
+}
+
+/// Prints the path of a result, unless the result went to a pipe or standard output.
+fn print_path(path: &Path) -> std::io::Result<()> {
+    if crate::files::is_stream(path) { Ok(()) } else { print_line!("{}", path.display()) }
 }
 
 /// Creates a folder if it is missing.

@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 use std::fmt::Display;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
@@ -56,13 +57,10 @@ pub(super) struct Spec {
 impl Spec {
     /// Reads the spec and applies the changes.
     pub fn source(&self) -> Result<Source, Error> {
-        if files::is_database(&self.file) {
-            let file = self.file.display();
-            return usage!(
-                "{file} is a database; SPEC must be the .toml file of a sweep (metasense query {file} \"SELECT text FROM sweep\")"
-            );
-        }
-        let text = std::fs::read_to_string(&self.file).map_err(Error::unreadable(&self.file))?;
+        let text = files::read_spec(&self.file).map_err(|error| match error.kind() {
+            ErrorKind::InvalidData => Error::Usage(error.to_string()),
+            _ => Error::unreadable(&self.file)(error),
+        })?;
         Ok(Source::spec(&self.file, text, &self.changes)?)
     }
 
@@ -130,8 +128,8 @@ impl Finished {
                 Ok(trials)
             })
             .await?;
-        let db = self.db.display();
-        let none = || Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`"));
+        let (db, word) = (self.db.display(), files::quoted(&self.db));
+        let none = || Error::Usage(format!("{db} contains no finished trial; see `metasense status {word}`"));
         if visited.is_empty() { Err(none()) } else { Ok(visited) }
     }
 }
@@ -231,17 +229,17 @@ impl Named {
     /// The trial of the plan with the given hash; without a hash, `default`.
     pub fn find_trial(&self, plan: &Plan, default: &PlannedTrial) -> Result<PlannedTrial, Error> {
         let Some(hash) = self.hash_argument()? else { return Ok(default.clone()) };
-        let path = self.source.display();
+        let (path, word) = (self.source.display(), files::quoted(&self.source));
         let found = plan.find(hash).cloned();
-        found.map_err(|e| Error::Usage(format!("{path}: {e}; `metasense expand {path}` lists them")))
+        found.map_err(|e| Error::Usage(format!("{path}: {e}; `metasense expand {word}` lists them")))
     }
 
     /// The database and the hash or its beginning; for a spec, the database that it writes to.
     pub fn in_database(&self) -> Result<(PathBuf, String), Error> {
         if self.is_database() {
-            let path = self.source.display();
+            let word = files::quoted(&self.source);
             let asked =
-                self.hash_argument()?.ok_or_else(|| Error::Usage(format!("name the trial: {path} HASH")))?;
+                self.hash_argument()?.ok_or_else(|| Error::Usage(format!("name the trial: {word} HASH")))?;
             return Ok((self.source.clone(), asked.to_owned()));
         }
         let plan = self.plan()?;
@@ -264,7 +262,7 @@ impl Named {
             Err(Error::Usage(match state {
                 "failed" => format!(
                     "trial {hash} failed: {reason}; `metasense run SPEC --retry-failed` resumes it (metasense status {} {})",
-                    self.source.display(),
+                    files::quoted(&self.source),
                     short_hash(&hash)
                 ),
                 _ => format!("trial {hash} is not done yet: {state}; `metasense run SPEC` finishes it"),
@@ -299,13 +297,13 @@ impl Named {
 
     /// The body of the trial; without a hash, the body that all trials of the spec share.
     pub async fn body(&self) -> Result<SpecBody, Error> {
-        let path = self.source.display();
+        let (path, word) = (self.source.display(), files::quoted(&self.source));
         if self.is_database() || self.hash_argument()?.is_some() {
             return SpecBody::of_trial(&self.read().await?.1).map_err(|e| self.refused(e));
         }
         SpecBody::new(&self.spec().source()?)?.ok_or_else(|| {
             Error::Usage(format!(
-                "{path} has several bodies: name a trial, {path} HASH; `metasense expand {path}` lists them"
+                "{path} has several bodies: name a trial, {word} HASH; `metasense expand {word}` lists them"
             ))
         })
     }

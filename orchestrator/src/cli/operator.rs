@@ -5,15 +5,15 @@ use std::path::PathBuf;
 use metasense_lab::operator::{OperatorFigures, operator_figures};
 use serde_json::json;
 
-use super::named::Database;
+use super::named::Finished;
 use super::{Error, Format, print_rows, write};
-use crate::analysis::Cluster;
 use crate::analysis::kinds::brains_of;
 use crate::analysis::numbers::distinct;
 use crate::analysis::operator::{BodyPair, MEASURES, table};
+use crate::analysis::{BodyState, Cluster, Set, Trial};
 use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
-use crate::reader::Reader;
+use crate::reader::StoredTrial;
 
 /// Computes the information about the forces in the signals, independent of the decoder
 ///
@@ -24,69 +24,43 @@ use crate::reader::Reader;
 /// by the last; bits per second; the mean duration of the response to an impulse; the number of participating modes, by the
 /// energies E of their own signals ((ΣE)²/ΣE²). Each is a geometric mean over the trials of a setting. Also printed: the
 /// rank correlation of its change with the gain, with a 95 % interval (Fisher's z with the standard deviation √(1.06/(n −
-/// 3)); n is the number of seeds or of placements, whichever is smaller).
+/// 3)); n is the number of seeds or of placements, whichever is smaller). Other formats have one row per trial and body.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database
-    #[arg(value_name = "DB")]
-    db: PathBuf,
-    /// Prints one row per trial and body instead of the table of measures
-    #[arg(long, help_heading = "Output")]
-    rows: bool,
+    #[command(flatten)]
+    trials: Finished,
     /// Draws the gain of Wiener's filter and the measured gain
     #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Format of the table
-    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
-    format: Format,
 }
 
 /// A finished trial: its name and decoders, and the measures of its bodies.
 struct TrialMeasures {
-    head: Vec<serde_json::Value>,
+    hash: String,
+    panels: u64,
+    sensors: u64,
+    brains: [String; 2],
     change: BodyPair,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let seen = Reader::with_reader(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
-        let sql =
-            "SELECT hash, panels, sensors, placement, seed, holdout_error_initial, holdout_error_optimised
-                     FROM v_trial
-                    WHERE state = 'done' AND holdout_error_initial > 0 AND holdout_error_optimised > 0
-                    ORDER BY panels, sensors, placement, seed, hash";
-        let mut seen = Vec::new();
-        for row in reader.query::<Table>(sql).await?.rows {
-            let hash = row[0].as_str().unwrap_or_default();
-            let Some(stored) = reader.stored(hash).await? else { continue };
-            let mut measured = [[0.0; MEASURES.len()]; 2];
-            for (b, to) in measured.iter_mut().enumerate() {
-                let found = operator_figures(&stored.specs[b], &stored.designs[b])
-                    .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(hash))))?;
-                let OperatorFigures { error, rank, condition, bits, memory, modes } = found;
-                *to = [error, rank, condition, bits, memory, modes];
-            }
-            let whole = |i: usize| row[i].as_u64().unwrap_or_default();
-            let cluster = Cluster { placement: whole(3), seed: whole(4) };
-            let errors = [5, 6].map(|i| row[i].as_f64().unwrap_or_default());
-            let [brain, trained] = brains_of(&json!(stored.specs[1]));
-            let by = if brain == trained { brain.clone() } else { format!("{trained}, decoder {brain}") };
-            let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
-            let change = BodyPair { setting, cluster, errors, measured };
-            let head = [&row[..5], &row![brain, trained][..]].concat();
-            seen.push(TrialMeasures { head, change });
-        }
-        Ok(seen)
-    })
-    .await?;
+    let mut seen: Vec<TrialMeasures> = Vec::new();
+    let compared = |trial: &Trial| errors(trial).is_some();
+    args.trials
+        .visit(compared, |stored, trial| {
+            seen.extend(errors(trial).map(|errors| measures(stored, trial, errors)).transpose()?);
+            Ok(())
+        })
+        .await?;
     if seen.is_empty() {
-        let db = args.db.display();
-        return usage!("{db} contains no finished trial; see `metasense status {db}`");
+        return usage!("no finished trial has held-out errors of both bodies");
     }
-    if args.rows {
-        print_rows(&rows(&seen), args.format)?;
-    } else {
-        print_rows(&table(&seen.iter().map(|seen| seen.change.clone()).collect::<Vec<_>>()), args.format)?;
-    }
+    seen.sort_by_cached_key(|of| (of.panels, of.sensors, of.change.cluster, of.hash.clone()));
+    let table = match args.trials.format {
+        Format::Table => table(&seen.iter().map(|seen| seen.change.clone()).collect::<Vec<_>>()),
+        _ => rows(&seen),
+    };
+    print_rows(&table, args.trials.format)?;
     if let Some(out) = &args.out {
         write(out, drawn(&seen))?;
         say!("written {}", out.display());
@@ -94,11 +68,35 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
+/// Held-out errors (%) of both bodies, which are the same without outer steps; `None` if one is missing.
+fn errors(trial: &Trial) -> Option<[f64; 2]> {
+    let trained = if trial.has_steps() { BodyState::Optimised } else { BodyState::Initial };
+    Some([trial.error(BodyState::Initial, Set::Holdout)?, trial.error(trained, Set::Holdout)?])
+}
+
+fn measures(stored: &StoredTrial, trial: &Trial, errors: [f64; 2]) -> Result<TrialMeasures, Error> {
+    let mut measured = [[0.0; MEASURES.len()]; 2];
+    for (b, to) in measured.iter_mut().enumerate() {
+        let found = operator_figures(&stored.specs[b], &stored.designs[b])
+            .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
+        let OperatorFigures { error, rank, condition, bits, memory, modes } = found;
+        *to = [error, rank, condition, bits, memory, modes];
+    }
+    let brains = brains_of(&json!(stored.specs[1]));
+    let [brain, trained] = &brains;
+    let by = if brain == trained { brain.clone() } else { format!("{trained}, decoder {brain}") };
+    let setting = format!("K = {}, M = {}, {by}", trial.panels, trial.sensors);
+    let change = BodyPair { setting, cluster: trial.cluster, errors, measured };
+    let &Trial { panels, sensors, .. } = trial;
+    Ok(TrialMeasures { hash: trial.hash.clone(), panels, sensors, brains, change })
+}
+
 fn rows(seen: &[TrialMeasures]) -> Table {
     let columns = "hash panels sensors placement seed brain trained_with body error wiener_error distinguishable_forces condition bits memory modes";
-    let of = |TrialMeasures { head, change }: &TrialMeasures, b: usize| {
-        let body = ["initial", "optimised"][b];
-        [head.clone(), row![body, change.errors[b]; change.measured[b]]].concat()
+    let of = |of: &TrialMeasures, b: usize| {
+        let TrialMeasures { hash, panels, sensors, brains: [brain, trained], change } = of;
+        let (Cluster { placement, seed }, body) = (change.cluster, BodyState::ALL[b].name());
+        row![hash, panels, sensors, placement, seed, brain, trained, body, change.errors[b]; change.measured[b]]
     };
     Table::new(columns, seen.iter().flat_map(|trial| [of(trial, 0), of(trial, 1)]))
 }

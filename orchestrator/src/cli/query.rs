@@ -11,7 +11,7 @@ use crate::exit::Exit;
 use crate::files::Output;
 use crate::look::{RowWriter, Table, lines, screen, standard_output};
 use crate::reader::Reader;
-use crate::spool::Spool;
+use crate::spool::{self, Spool};
 
 /// Runs an SQL query on a database, read-only, also while a run writes to it
 ///
@@ -49,7 +49,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 let answered = answer(reader, sql, &mut spool, (format, screen())).await;
                 // The query has ended: slow readers of the rows do not hold the database.
                 let passed_on = spool.finish();
-                answered.and(passed_on.map_err(Error::Output))
+                answered.and(passed_on.map_err(Error::Output)).map_err(|error| match error {
+                    Error::Output(source) if spool::is_of_file(&source) => {
+                        Error::io("holding rows for the reader in", std::env::temp_dir())(source)
+                    }
+                    error => error,
+                })
             }
             Some(path) => answer_in(reader, sql, path, format).await,
         }
@@ -83,12 +88,7 @@ async fn answer(
     (format, screen): (Format, Option<usize>),
 ) -> Result<(), Error> {
     let columns = reader.columns(sql).await?;
-    let twice = columns.iter().enumerate().find(|(i, name)| columns[..*i].contains(name));
-    if let (Some((_, name)), Format::Json) = (twice, format) {
-        return usage!(
-            "two columns are named {name}, but a JSON object can contain only one: rename them with AS"
-        );
-    }
+    format.check(&columns).map_err(Error::Usage)?;
     let mut writer = RowWriter::new(out, format, &columns, screen)?;
     if format == Format::Parquet {
         writer = writer.typed(reader.types(sql).await);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::named::{Database, word};
-use super::{Error, cores, make_folder, write};
+use super::{Error, cores, make_folder, print_path, write};
 use crate::analysis::{DecisionTerms, Question};
 use crate::exit::Exit;
 use crate::look::{Figure, Legend, Picture, file};
@@ -44,7 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     }
     write(&out, html(story, &drawn, missing.as_deref()))?;
-    print_line!("{}", out.display())?;
+    print_path(&out)?;
     if let Some(folder) = &args.out_dir {
         print_line!("{}", folder.display())?;
     }

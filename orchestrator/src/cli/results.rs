@@ -11,6 +11,7 @@ use super::point::values_at;
 use super::{Error, Format, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::cell::brief;
+use crate::files;
 use crate::look::Table;
 use crate::plan::{Plan, counted};
 use crate::provenance;
@@ -61,7 +62,7 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
     let unresolved: Vec<String> = unresolved.into_iter().filter(|hash| own.contains(&**hash)).collect();
     provenance::unresolved_trials(&unresolved).iter().for_each(|caveat| say!("warning: {caveat}"));
     if let more @ 1.. = settled.rows.len() - table.rows.len() {
-        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", from.named.display());
+        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", files::quoted(from.named));
     }
     Ok(failed)
 }
@@ -131,7 +132,7 @@ fn say_failures(Results { named, log, .. }: Results<'_>, settled: &Table) -> usi
         say!("failed: trial {hash} ({reason})");
     }
     if failed.len() > MOST_ROWS {
-        say!("… and {} more failed: metasense status {}", failed.len() - MOST_ROWS, named.display());
+        say!("… and {} more failed: metasense status {}", failed.len() - MOST_ROWS, files::quoted(named));
     }
     if !failed.is_empty() {
         say!("{} contains reasons and remedies; --retry-failed resumes these trials", log.display());

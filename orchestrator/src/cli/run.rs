@@ -112,11 +112,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let copy_every = seconds("copy-every", args.copy_every)?;
     let stop_after = args.stop_after.map(|s| seconds("stop-after", s)).transpose()?;
-    let mut signals = Signals::new()?;
+    // Before signals are received: a spec may come from a pipe, and Ctrl-C ends the wait for it.
+    let source = args.spec.source()?;
+    let (mut signals, asked) = (Signals::new()?, Notify::new());
     if let Some(time) = stop_after {
         end_after(time);
     }
-    let (source, asked) = (args.spec.source()?, Notify::new());
     let Args { spec, running, shard, .. } = &args;
     let fixed = shard.map(|_| FIXED_SHARD);
     let how = RunConfig { spec, running, shard: *shard, fixed, asked: &asked };
@@ -151,8 +152,24 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let mut home = Home::new(&plan.spec.name, shard, folder, args.running.db.clone())?;
     check(&Needs { files: &[home.handed_in()], ..Needs::default() })?;
-    let waits = || say!("an earlier attempt of this shard is still running on this node; waiting for it");
-    if let Some(aside) = home.merge_earlier_copies(waits).await? {
+    let waiting = Notify::new();
+    let waits = || {
+        say!("an earlier attempt of this shard is still running on this node; waiting for it");
+        waiting.notify_one();
+    };
+    // A signal ends the wait, but not a merge before it, which is quick and whose result must be handed in.
+    let signalled = async {
+        waiting.notified().await;
+        signals.next().await
+    };
+    let merged = tokio::select! {
+        merged = home.merge_earlier_copies(waits) => merged?,
+        Some(()) = signalled => {
+            say!("stopped before the first trial; the same command starts the shard");
+            return Ok(Exit::Interrupted);
+        }
+    };
+    if let Some(aside) = merged {
         say!(
             "the shard's database on this node was damaged and is now {}; the shard resumes from its copy in the folder",
             aside.display()
@@ -229,16 +246,7 @@ pub(super) async fn run(
     signals: &mut Signals,
     drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<RunOutcome>, Error>,
 ) -> Result<(RunOutcome, Plan), Error> {
-    let late = |trial: &PlannedTrial| {
-        let [_, last] = trial.spec.stimuli.onset.filter(|onset| onset[1] >= trial.spec.time.duration)?;
-        Some([last, trial.spec.time.duration])
-    };
-    if let Some([last, duration]) = plan.trials.iter().find_map(late) {
-        say!(
-            "stimuli.onset: pulses may start at {last} s, after the end of the sample (time.duration = {duration} s); the error of a sample \
-             that ends before its force starts is meaningless"
-        );
-    }
+    plan.warnings.iter().for_each(|why| say!("warning: {why}"));
     plan.check_memory()?;
     if let Some(limit) = plan.spec.run.lock_wait {
         wait_for_locks(Duration::from_secs_f64(limit));
@@ -303,6 +311,12 @@ fn reread(plan: &Plan, how: &RunConfig) -> Arc<Reread> {
     Arc::new(move || {
         if let Some(why) = fixed {
             return Err(why.into());
+        }
+        if spec.file.metadata().is_ok_and(|file| !file.is_file()) {
+            return Err(format!(
+                "{} is not a regular file: write the spec to one, and run that",
+                spec.file.display()
+            ));
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
         plan.check_memory().map_err(|error| chain(&error))?;
@@ -438,21 +452,27 @@ fn name(outcome: RunOutcome) -> &'static str {
     }
 }
 
-/// Prints the table and the database; returns the exit code.
+/// Prints the table and the database; returns the exit code. A closed terminal does not change that of a stopped run.
 pub(super) async fn end(
     results: Results<'_>,
     plan: &Plan,
     format: Format,
     outcome: RunOutcome,
 ) -> Result<Exit, Error> {
-    let failed = print_results(results, plan, format).await?;
+    let early = match outcome {
+        RunOutcome::Interrupted => Some(Exit::Interrupted),
+        RunOutcome::Unfit(_) => Some(Exit::Unfit),
+        _ => None,
+    };
+    let failed = match (print_results(results, plan, format).await, early) {
+        (Err(error @ Error::Output(_)), Some(_)) => {
+            error.say();
+            0
+        }
+        (printed, _) => printed?,
+    };
     say!("database: {}", results.named.display());
-    Ok(match outcome {
-        RunOutcome::Interrupted => Exit::Interrupted,
-        RunOutcome::Unfit(_) => Exit::Unfit,
-        _ if failed > 0 => Exit::Failed,
-        _ => Exit::Done,
-    })
+    Ok(early.unwrap_or(if failed > 0 { Exit::Failed } else { Exit::Done }))
 }
 
 /// The command line overrides the spec, which overrides the defaults of the machine.
@@ -476,7 +496,6 @@ fn options(run: &Run, args: &Running) -> Options {
         threads: threads as u32,
         niceness: run.niceness.unwrap_or(0).into(),
         memory_mib: run.memory,
-        keep_arrays: true,
         program: PathBuf::from("/proc/self/exe"),
     }
 }

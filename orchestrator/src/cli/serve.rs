@@ -88,8 +88,10 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         );
     }
     let address = Address::new(&args.proxy).map_err(Error::Usage)?;
-    let failed = Error::io("listening at", args.listen.to_string());
-    let listener = TcpListener::bind(args.listen).await.map_err(&failed)?;
+    let failed = |error: std::io::Error| {
+        Error::Usage(format!("--listen {}: {error}; pass another port, or 0 for any free port", args.listen))
+    };
+    let listener = TcpListener::bind(args.listen).await.map_err(failed)?;
     let at = listener.local_addr().map_err(failed)?;
     let scratch = Error::io("making a folder in", std::env::temp_dir());
     let sources = paths

@@ -60,7 +60,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     print_rows(&table(&found, args.format != Format::Table), args.format)?;
     if !keeps_error(&found.solver)[0] {
         say!(
-            "warning: no time step reaches solver.tolerance: the motion is chaotic, so signals depend on the steps (see the column solver)"
+            "warning: no time step reaches solver.tolerance: signals depend on the steps; the column solver contains the remaining error"
         );
     }
     say!("the pilot that chose the steps took {} force evaluations", found.pilot_evaluations);

@@ -38,13 +38,8 @@ impl SpecBody {
         problem::external::polygons(&sweep.body).map_err(located)?;
         let mut combinations = combinations(&sweep, source)?;
         let first = combinations.swap_remove(0).spec;
-        let keeps_panels = first.feasible.keep_panels;
-        let other = |spec: &SweepSpec| {
-            let panels = keeps_panels && spec.sweep.panels != first.sweep.panels;
-            spec.body != first.body || spec.feasible != first.feasible || panels
-        };
-        let panels_vary = keeps_panels && first.sweep.panels.len() > 1;
-        if panels_vary || combinations.iter().any(|c| other(&c.spec)) {
+        let other = |spec: &SweepSpec| spec.body != first.body || spec.feasible != first.feasible;
+        if combinations.iter().any(|c| other(&c.spec)) {
             return Ok(None);
         }
         let (first, _) = problem::scale_to_size(&with_file(&first, source)?).map_err(located)?;
@@ -69,14 +64,13 @@ impl SpecBody {
             _ => problem::panel_units(&body, &layout, panels).map_err(located)?,
         };
         let held = problem::held(&body, &layout).map_err(located)?;
-        let kept = problem::fixed_shape_units(&first.feasible, &units, &held);
         let moves = |spec: &SweepSpec| {
             let mut frozen = spec.optimise.frozen.clone().unwrap_or_default();
             frozen.sort_unstable();
             (spec.optimise.tie.unwrap_or([1, 1]), frozen)
         };
         let moves_alike = combinations.iter().all(|c| moves(&c.spec) == moves(&first));
-        let castable = problem::castable(&first.optimise, &layout, limits, &kept).map_err(located)?;
+        let castable = problem::castable(&first.optimise, &layout, limits).map_err(located)?;
         Ok(Some(Self {
             castable: moves_alike.then_some(castable),
             limits,
@@ -98,9 +92,8 @@ impl SpecBody {
         let layout = problem::layout(&trial.body)?;
         let limits = problem::limits(&trial.feasible)?;
         let (clamped, held) = (problem::clamped(&trial.body, &layout)?, problem::held(&trial.body, &layout)?);
-        let kept = problem::fixed_shape_units(&trial.feasible, &trial.panel_units, &held);
         Ok(Self {
-            castable: Some(problem::castable(&trial.optimise, &layout, limits, &kept)?),
+            castable: Some(problem::castable(&trial.optimise, &layout, limits)?),
             limits,
             initial: problem::initial_design(&trial.body, &layout, limits)?,
             guided: held[clamped.len()..].to_vec(),

@@ -15,6 +15,7 @@ use crate::cluster::queue;
 use crate::cluster::state::{self, ShardState};
 use crate::control::is_held;
 use crate::exit::Exit;
+use crate::files;
 use crate::look::{Table, row, short_hash};
 use crate::plan::{PlannedTrial, counted};
 use crate::progress::FAILED;
@@ -91,7 +92,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let [reason, text, hash] = [0, 1, 2].map(|i| row[i].as_str().unwrap_or_default());
         let what = if text.is_empty() { reason } else { text };
         let count = counted(row[3].as_u64().unwrap_or_default() as usize, "trial");
-        say!("failed: {count}: {what} (metasense status {} {})", db.display(), short_hash(hash));
+        say!("failed: {count}: {what} (metasense status {} {})", files::quoted(&db), short_hash(hash));
     }
     let caveats = provenance::mixed(&made).into_iter().chain(provenance::unresolved_trials(&unresolved));
     caveats.for_each(|caveat| say!("{caveat}"));

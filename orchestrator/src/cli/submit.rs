@@ -93,6 +93,7 @@ const SHARDS_OF_ROUNDS: u32 = 4;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut plan = args.spec.plan()?;
+    plan.warnings.iter().for_each(|why| say!("warning: {why}"));
     args.check()?;
     let places = args.places()?;
     let folder = args.folder(&plan);
@@ -163,13 +164,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let commands = args.scheduler.scheduler().queue();
     let merge_is_missing = commands.is_some_and(QueueCommands::has_merge_job) && !queue.has_merge(&jobs);
     if which.is_empty() && !queued.is_empty() && !merge_is_missing {
-        say!("nothing to submit; metasense status --folder {} shows the shards", folder.display());
+        say!("nothing to submit; metasense status --folder {} shows the shards", files::quoted(&folder));
         return Ok(Exit::Done);
     }
     if which.is_empty() && queued.is_empty() {
         say!(
             "nothing left to do: all {shards} shards are settled; metasense cluster merge {} --out FILE",
-            folder.display()
+            files::quoted(&folder)
         );
         return Ok(Exit::Done);
     }
@@ -421,7 +422,7 @@ fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     let (name, cluster, merge_job) = (None, None, None);
     let job = Job { scheduler, job, name, cluster, merge_job, shards: *shards, offset: 0 };
     notes.note(&job).map_err(Error::io("noting what is run in", folder))?;
-    say!("metasense status --folder {} shows the shards; Ctrl-C stops all of them", folder.display());
+    say!("metasense status --folder {} shows the shards; Ctrl-C stops all of them", files::quoted(folder));
     Ok(())
 }
 

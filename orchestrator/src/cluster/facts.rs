@@ -9,6 +9,7 @@ use tempfile::TempDir;
 
 use super::home::attempts;
 use super::merge::{Extent, MergeError, merge};
+use crate::files::quoted;
 use crate::leftovers;
 use crate::reader::ask_unchanging;
 
@@ -116,9 +117,9 @@ impl Facts {
 
     /// Message about the folder for people.
     pub fn message(&self) -> String {
-        let folder = self.folder.display();
+        let (folder, word) = (self.folder.display(), quoted(&self.folder));
         format!(
-            "{folder}: facts of {} merged; steps, curves and arrays are in these files: `metasense cluster merge {folder} --out FILE` \
+            "{folder}: facts of {} merged; steps, curves and arrays are in these files: `metasense cluster merge {word} --out FILE` \
              makes one complete database",
             crate::plan::counted(self.merged_files.len(), "database")
         )

@@ -9,16 +9,16 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal};
 use tokio::io::AsyncWriteExt;
 use tokio::process::{Child, ChildStdin, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use super::Shard;
-use super::submit::{line, quoted};
+use super::submit::line;
 use crate::exit::Exit;
-use crate::files::{self, host};
+use crate::files::{self, host, quoted};
 use crate::signals::Signals;
 
 /// Most starts of a shard that dies or whose host becomes unreachable.
@@ -217,7 +217,7 @@ async fn run_shard(
         }
     };
     let said = outputs.iter().zip(before).find_map(|(file, before)| {
-        let line = last_line(file, before).ok()??;
+        let line = last_message(file, before).ok()??;
         Some(format!(": {line} ({})", file.display()))
     });
     let said = said.unwrap_or_else(|| format!("; {} is empty", outputs[0].display()));
@@ -225,18 +225,23 @@ async fn run_shard(
     (place, shard, status.and_then(|status| status.code()), how + &said)
 }
 
-/// Bytes at the end of an output in which the last line is searched.
+/// Bytes at the end of an output in which the last message is searched.
 const LAST: u64 = 2000;
 
-/// The last non-empty line of a file after offset `before`, if any.
-fn last_line(file: &Path, before: u64) -> io::Result<Option<String>> {
+/// The last error with its causes in a file after offset `before`, else the last non-empty line, if any.
+fn last_message(file: &Path, before: u64) -> io::Result<Option<String>> {
     let mut file = std::fs::File::open(file)?;
     let from = before.max(file.metadata()?.len().saturating_sub(LAST));
     file.seek(SeekFrom::Start(from))?;
     let mut bytes = Vec::new();
     file.take(LAST).read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes).replace(|c: char| c.is_control() && c != '\n', " ");
-    Ok(text.lines().map(str::trim).rfind(|line| !line.is_empty()).map(str::to_owned))
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let Some(error) = lines.iter().rposition(|line| line.starts_with("error:")) else {
+        return Ok(lines.last().map(ToString::to_string));
+    };
+    let causes = lines[error + 1..].iter().take_while(|line| line.starts_with("because:"));
+    Ok(Some(lines[error..=error + causes.count()].join(" ")))
 }
 
 fn begin(place: &HostSlot, shard: u32, how: &LaunchConfig) -> io::Result<Child> {
@@ -245,6 +250,12 @@ fn begin(place: &HostSlot, shard: u32, how: &LaunchConfig) -> io::Result<Child> 
         None => {
             let mut command = Command::new("sh");
             command.arg(&script).arg(shard.to_string()).stdin(Stdio::null());
+            // Also if this process is killed, its shards end in order. `exec` keeps the setting; unlike `--parent`, it
+            // allows a prefix that starts the program as a child.
+            // SAFETY: the closure makes one system call.
+            unsafe {
+                command.pre_exec(|| set_parent_process_death_signal(Some(Signal::TERM)).map_err(Into::into))
+            };
             command
         }
         Some(host) => {

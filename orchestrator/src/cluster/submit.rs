@@ -8,6 +8,7 @@ use super::Assignment;
 use super::home::SUBMITTED_SPEC;
 use super::scheduler::Scheduler;
 use crate::engine::GRACE;
+use crate::files::quoted;
 use crate::plan::PlannedTrial;
 
 /// Time before its time limit at which a shard is stopped (s), or more if `run.grace` requires it.
@@ -231,16 +232,6 @@ pub(super) fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<Str
 /// A shell command of these words.
 pub fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(Path::new(word))).collect::<Vec<_>>().join(" ")
-}
-
-pub(super) fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,@%+".contains(c);
-    if !text.is_empty() && text.chars().all(plain) {
-        text
-    } else {
-        format!("'{}'", text.replace('\'', r"'\''"))
-    }
 }
 
 /// Parses a time as `sbatch --time` does, to seconds: `30` (minutes), `30:00`, `4:00:00`, `1-12`, `1-12:00:00`.

@@ -85,6 +85,11 @@ async fn a_run_is_asked_by_its_database() {
     let command = Command::Next { hash: "ab".into() };
     let (heard, ()) = tokio::join!(ask(&db, &command), answering);
     assert_eq!(heard.unwrap(), said);
+    // the run is busy
+    let late = ask_within(Duration::from_millis(100), &db, &Command::State).await.unwrap_err();
+    let pid = std::process::id().to_string();
+    assert!(matches!(late, ControlError::NoAnswer { .. }) && late.to_string().contains(&pid), "{late}");
+    drop(request(&listener).await);
     let ending = async { drop((request(&listener).await, listener)) };
     let command = Command::State;
     let (heard, ()) = tokio::join!(ask(&db, &command), ending);

@@ -70,8 +70,6 @@ pub struct Options {
     pub niceness: i32,
     /// Memory limit per worker (MiB).
     pub memory_mib: Option<u64>,
-    /// Whether to record the arrays of results; if not, they are read and discarded, to measure their transport only.
-    pub keep_arrays: bool,
     /// The program that contains the hidden `worker` subcommand.
     pub program: PathBuf,
 }
@@ -279,7 +277,6 @@ impl Engine<'_> {
                 self.agenda.bodies.begun.insert(prior.body);
                 self.view.steps += 1;
                 self.view.forecast.stepped(lease.trial, self.clock.elapsed());
-                self.watch.step(self.agenda.trial(lease), &record);
                 self.record_spent(lease).await;
                 self.record(QueuedRecord::Step(lease, record, checkpoint)).await;
             }
@@ -449,12 +446,7 @@ impl Engine<'_> {
             }
             ToOrchestrator::Saved(lease, checkpoint) => Event::Saved(worker, lease, Arc::from(checkpoint)),
             ToOrchestrator::Finished(lease, result, heads) => {
-                let mut arrays = sample.map(|sample| ResultArrays { heads, sample });
-                if !self.options.keep_arrays
-                    && let Some(arrays) = arrays.take()
-                {
-                    arrays.read();
-                }
+                let arrays = sample.map(|sample| ResultArrays { heads, sample });
                 Event::Finished(worker, lease, (result, arrays))
             }
             ToOrchestrator::Failed(lease, reason, detail) => {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
-use metasense_schemas::record::{StepRecord, TrialResult};
+use metasense_schemas::record::TrialResult;
 
 pub use crate::analysis::view::View;
 use crate::control::Command;
@@ -12,8 +12,6 @@ use crate::scheduler::RunOutcome;
 
 /// Observer of a run.
 pub trait Watch {
-    /// A step has arrived.
-    fn step(&mut self, _trial: &PlannedTrial, _record: &StepRecord) {}
     /// A result is on disk.
     fn done(&mut self, _trial: &PlannedTrial, _result: &TrialResult) {}
     /// An attempt has failed; `settled`: the trial, too. `_text`: the reason and its details.

@@ -70,16 +70,6 @@ pub struct ResultArrays {
 }
 
 impl ResultArrays {
-    /// Reads every byte and discards it.
-    pub fn read(&self) {
-        let (mut sum, bytes) = (0u64, self.sample.payload());
-        let (before, words, after) = bytemuck::pod_align_to::<u8, u64>(bytes);
-        for word in words {
-            sum = sum.wrapping_add(*word);
-        }
-        std::hint::black_box((sum, before, after));
-    }
-
     fn all(&self) -> Vec<StoredArray<'_>> {
         let bytes = self.sample.payload();
         let array = |head| {

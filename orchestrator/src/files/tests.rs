@@ -39,3 +39,29 @@ fn an_unfinished_file_and_one_over_a_database_leave_what_was_there() {
     assert!(std::fs::read_to_string(&db).unwrap().ends_with("and so on"));
     assert_eq!(std::fs::read_dir(bench.path()).unwrap().count(), 2);
 }
+
+/// Temporary files that an ended process has left of the same file are removed, those of others are not.
+#[test]
+fn what_an_ended_process_has_left_is_removed() {
+    let bench = tempfile::tempdir().unwrap();
+    let ended = format!("{}-{}.tmp", mark_of(&host()), u32::MAX);
+    for name in ["a.csv", "a.csv.gz", "b.csv"] {
+        std::fs::write(bench.path().join(format!(".{name}.{ended}")), "half").unwrap();
+    }
+    write(&bench.path().join("a.csv"), b"whole").unwrap();
+    let names =
+        std::fs::read_dir(bench.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<_> = names.collect();
+    names.sort();
+    assert_eq!(names, [format!(".a.csv.gz.{ended}"), format!(".b.csv.{ended}"), "a.csv".into()]);
+}
+
+#[test]
+fn open_files_of_this_process_are_streams() {
+    for path in ["/dev/stdout", "/dev/fd/2", "/proc/self/fd/0", "/dev/null"] {
+        assert!(is_stream(Path::new(path)), "{path}");
+    }
+    for path in ["/proc/self/status", "/dev", "Cargo.toml", "/dev/fd/-1", "none"] {
+        assert!(!is_stream(Path::new(path)), "{path}");
+    }
+}

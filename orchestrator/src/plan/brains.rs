@@ -1,7 +1,7 @@
 //! Resolves the decoders of a trial, and removes keys that they do not use, so that equal trials have equal hashes.
 
 use metasense_schemas::spec::{
-    Brain, BrainKind, Evaluation, Objective, Optimise, Protocol, Ridge, SweepSpec, Variation,
+    Brain, BrainKind, Evaluation, Feasible, Objective, Optimise, Protocol, Ridge, SweepSpec, Variation,
 };
 use metasense_source::{Source, SpecError};
 use metasense_worker::problem::lags;
@@ -42,10 +42,11 @@ fn looks_back_alone(spec: &SweepSpec) -> bool {
 /// Decoder, training, evaluation and deviations of a combination, with defaults, without keys that its decoders do not use.
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option<Variation>) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
+    let variation = spec.variation.and_then(Variation::resolved);
     let (mut brain, mut optimise, mut evaluation) = (
         spec.brain.clone().resolved(),
         spec.optimise.clone(),
-        spec.evaluation.clone().resolved(spec.variation.is_some(), &spec.stimuli),
+        spec.evaluation.clone().resolved(variation.is_some(), &spec.stimuli),
     );
     // without training there is only one body
     evaluation.initial = evaluation.initial.filter(|compared| !compared && spec.optimise.steps() > 0);
@@ -86,7 +87,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         units
     });
     // without deviations, an objective runs over the parts of a mixture; by default, the parts share the batch of a single body
-    if let (Some(_), None, Some(parts)) = (optimise.objective, spec.variation, &spec.stimuli.mix) {
+    if let (Some(_), None, Some(parts)) = (optimise.objective, variation, &spec.stimuli.mix) {
         optimise.casts.get_or_insert(parts.len());
         optimise.batch.get_or_insert(Optimise::BATCH.div_ceil(parts.len().max(1)));
     }
@@ -99,8 +100,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         None => (Optimise { casts: None, ..optimise }, false),
     };
     // deviations matter only if an objective or the evaluation uses casts
-    let variation = spec.variation.filter(|_| robust || evaluation.casts.is_some());
-    (brain, optimise, evaluation, variation.and_then(Variation::resolved))
+    let variation = variation.filter(|_| robust || evaluation.casts.is_some());
+    (brain, optimise, evaluation, variation)
 }
 
 /// Messages about keys that have no effect.
@@ -112,6 +113,9 @@ const NO_READOUTS: &str =
 const NO_OBJECTIVE: &str = "has no effect: no trial has an optimise.objective over casts";
 const NO_VARIATION: &str = "has no effect: no trial has a [variation]";
 const NO_CALIBRATION: &str = "has no effect: no trial has a [variation] and a decoder other than inverse";
+
+/// A limit of feasible designs.
+type Limit = fn(&Feasible) -> f64;
 
 /// Whether a spec sets a key.
 type KeyPredicate<'a> = &'a dyn Fn(&SweepSpec) -> bool;
@@ -140,12 +144,12 @@ pub(super) fn refuse_unread<'a>(
     let read_by_network = any_spec(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any_spec(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let without_deviation = |spec: &SweepSpec| spec.variation.is_some_and(|v| v.resolved().is_none());
+    let deviates = any_spec(&|spec| spec.variation.and_then(Variation::resolved).is_some());
     let keys: [(&str, bool, KeyPredicate, &str); 21] = [
         ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), NO_OBJECTIVE),
         ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), NO_VARIATION),
         ("evaluation.records", calibrates, &|s| s.evaluation.records.is_some(), NO_CALIBRATION),
-        ("variation", false, &without_deviation, "must contain at least one deviation"),
+        ("variation", deviates, &|s| s.variation.is_some(), "must contain at least one deviation"),
         ("brain.preset", network, &|s| s.brain.preset.is_some(), NO_CNN),
         ("brain.width", network, &|s| s.brain.width.is_some(), NO_CNN),
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), NO_CNN),
@@ -174,8 +178,22 @@ pub(super) fn refuse_unread<'a>(
             NO_TRAINER,
         ),
     ];
-    match keys.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
-        Some((key, _, _, remedy)) => Err(source.error(key, remedy)),
+    if let Some((key, _, _, remedy)) = keys.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
+        return Err(source.error(key, remedy));
+    }
+    let limits: [(&str, Limit); 7] = [
+        ("feasible.min_block_angle", |limits| limits.min_block_angle),
+        ("feasible.max_block_angle", |limits| limits.max_block_angle),
+        ("feasible.min_void_angle", |limits| limits.min_void_angle),
+        ("feasible.min_ligament_angle", |limits| limits.min_ligament_angle),
+        ("feasible.min_edge", |limits| limits.min_edge),
+        ("feasible.clearance", |limits| limits.clearance),
+        ("feasible.ligament_clearance", |limits| limits.ligament_clearance),
+    ];
+    let limited = any_spec(&|spec| spec.feasible.limits);
+    let is_set = |of: Limit| any_spec(&|spec| of(&spec.feasible) != of(&Feasible::default()));
+    match limits.iter().find(|(_, of)| !limited && is_set(*of)) {
+        Some((key, _)) => Err(source.error(key, "has no effect: no trial has feasible.limits = true")),
         None => Ok(()),
     }
 }

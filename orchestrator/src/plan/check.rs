@@ -102,7 +102,11 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
         ("run.niceness", run.niceness.is_none_or(|n| n <= 19), "must be at most 19"),
         ("run.memory", run.memory.is_none_or(|mib| mib >= 64), "must be at least 64 MiB"),
         ("run.backoff", seconds(run.backoff, 0.0), "must be at least 0, at most 1e9 s"),
-        ("run.no_progress", seconds(run.no_progress, 0.1), "must be at least 0.1, at most 1e9 s"),
+        (
+            "run.no_progress",
+            seconds(run.no_progress, 2.0),
+            "must be at least 2, at most 1e9 s: workers report every second",
+        ),
         (
             "run.grace",
             run.grace.is_none_or(|s| (0.0..=GRACE_MAX).contains(&s)),

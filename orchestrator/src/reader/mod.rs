@@ -11,6 +11,8 @@ mod made;
 mod stored;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use futures_util::TryStreamExt;
 use serde_json::Value;
@@ -23,7 +25,9 @@ use sqlx::{
 use crate::cell;
 use crate::files::{has_journal, resolve_links, sidecar};
 use crate::hashes::position_of;
-use crate::store::{StoreError, check, is_no_json, is_trouble, lock, npy_values, options, read_checkpoint};
+use crate::store::{
+    StoreError, check, check_utf8, is_no_json, is_trouble, lock, npy_values, options, read_checkpoint,
+};
 use allow::{AccessLevel, NOT_READING, TYPES_VIEW, allow};
 pub use confined::AnswerLimits;
 pub use connect::ask_unchanging;
@@ -85,6 +89,9 @@ pub struct Reader {
     alone: bool,
 }
 
+/// SQLite operations between two checks of [`Reader::stop_when`].
+const OPERATIONS: i32 = 10_000;
+
 /// A stored array.
 #[derive(Debug, Clone)]
 pub struct Artifact {
@@ -131,6 +138,7 @@ impl Reader {
         if !path.is_file() {
             return Err(StoreError::Missing(path));
         }
+        check_utf8(&path)?;
         let alone = !sidecar(&path, "-wal").exists();
         if alone && path.metadata().is_ok_and(|file| file.len() == 0) {
             return Err(StoreError::NotOurs(path));
@@ -154,6 +162,17 @@ impl Reader {
         let path = reader.path.clone();
         reader.close().await;
         if current { answer } else { Err(StoreError::Changed(path).into()) }
+    }
+
+    /// Makes statements fail once `stop` is true.
+    ///
+    /// # Errors
+    /// If SQLite fails.
+    pub async fn stop_when(&mut self, stop: Arc<AtomicBool>) -> Result<(), StoreError> {
+        let handle = self.connected.connection.lock_handle().await;
+        let mut handle = handle.map_err(|source| StoreError::sql(&self.path, "querying", source))?;
+        handle.set_progress_handler(OPERATIONS, move || !stop.load(Ordering::Relaxed));
+        Ok(())
     }
 
     /// Whether the file has not changed since it was opened without locks. Always true of files that are locked for reading.

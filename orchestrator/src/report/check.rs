@@ -8,6 +8,7 @@ use metasense_lab::modes::responses;
 use metasense_schemas::spec::TrialSpec;
 use serde_json::Value;
 
+use super::strips::least_median_greatest;
 use crate::look::{
     Answer, Axis, Figure, Plot, SERIES, Scale, Table, answers, digits, legend, number, page, row,
 };
@@ -112,10 +113,7 @@ pub fn figures(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Vec<Figu
 /// The records of least, median and greatest correlation with the model.
 fn followed(checked: &Checked) -> Option<Figure> {
     let found = checked.found.as_ref()?;
-    let mut order: Vec<usize> = (0..found.records.len()).collect();
-    order.sort_by(|a, b| found.records[*a].correlation.total_cmp(&found.records[*b].correlation));
-    let mut chosen = vec![order[0], order[order.len() / 2], order[order.len() - 1]];
-    chosen.dedup();
+    let chosen = least_median_greatest(found.records.len(), |i| found.records[i].correlation);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
     for i in chosen {
         let (signals, model) = (&checked.records[i].record.signals, &found.simulated[i]);

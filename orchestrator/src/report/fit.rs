@@ -4,6 +4,7 @@ use maud::html;
 use metasense_lab::identify::Fit;
 use metasense_schemas::spec::{Channel, TrialSpec};
 
+use super::strips::least_median_greatest;
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
 /// Figures of a fit to `signals` (N, T, channels).
@@ -47,12 +48,8 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
         };
         100.0 * (shown.iter().map(|c| off(*c).powi(2)).sum::<f64>() / shown.len() as f64).sqrt()
     };
-    let mut order: Vec<usize> = (0..count).collect();
-    order.sort_by(|a, b| misfit(*a).total_cmp(&misfit(*b)));
-    let mut chosen = vec![order[0], order[count / 2], order[count - 1]];
-    chosen.dedup();
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
-    for &r in &chosen {
+    for r in least_median_greatest(count, misfit) {
         for &c in &shown {
             let [measured, started, fitted] = [signals, before, after].map(|v| of(v, r, c));
             let unit = trial.sensor_units[c / read.len()];

@@ -55,9 +55,9 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     let mut settings = SharedSettings::default();
     reader
         .each(
-            "SELECT id, hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
-               error_optimised, holdout_error_initial, holdout_error_optimised, holdout_median_initial,
-               holdout_median_optimised, seconds_evaluation,
+            "SELECT id, hash, spec, panels, sensors, placement, seed, units, design_parameters,
+               error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
+               holdout_error_optimised, holdout_median_initial, holdout_median_optimised, seconds_evaluation,
                result->>'$.nonlinear[0][0]' AS nonlinear_acceleration_initial,
                result->>'$.nonlinear[0][1]' AS nonlinear_rotation_initial,
                result->>'$.nonlinear[1][0]' AS nonlinear_acceleration_optimised,
@@ -79,11 +79,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
                     cluster: Cluster { placement: row.count("placement"), seed: row.count("seed") },
                     units: row.count("units"),
                     design_parameters: row.count("design_parameters"),
-                    errors: [
-                        [row.number("error_initial"), row.number("holdout_error_initial")],
-                        [row.number("error_optimised"), row.number("holdout_error_optimised")],
-                    ],
-                    medians: BodyState::ALL.map(|body| row.number(&Set::Median.column(body))),
+                    errors: BodyState::ALL.map(|body| Set::ALL.map(|set| row.number(&set.column(body)))),
                     nonlinear: BodyState::ALL.map(|body| {
                         ["acceleration", "rotation"]
                             .map(|kind| row.number(&format!("nonlinear_{kind}_{}", body.name())))
@@ -277,8 +273,8 @@ impl Loader<'_> {
              GROUP BY n.trial_id, n.body";
         self.each(sql, |trial, row| {
             if let Some(body) = body_named(row.text("body")) {
-                trial.long_errors[body as usize] = [row.number("test"), row.number("holdout")];
-                trial.long_medians[body as usize] = row.number("median");
+                trial.long_errors[body as usize] =
+                    ["test", "holdout", "median"].map(|column| row.number(column));
             }
             Ok(())
         })

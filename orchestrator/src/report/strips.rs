@@ -155,6 +155,15 @@ pub fn representative(errors: &[Option<f64>], among: impl Iterator<Item = usize>
     chosen
 }
 
+/// Positions of the least, median and greatest of `count` values, each once.
+pub fn least_median_greatest(count: usize, value: impl Fn(usize) -> f64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by(|a, b| value(*a).total_cmp(&value(*b)));
+    let mut chosen = vec![order[0], order[count / 2], order[count - 1]];
+    chosen.dedup();
+    chosen
+}
+
 /// Errors of a body's samples.
 #[derive(Debug, Clone)]
 pub struct Errors<'a> {

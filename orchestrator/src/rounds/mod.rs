@@ -6,7 +6,7 @@ pub mod space;
 
 use std::path::Path;
 
-use crate::analysis::until::{self, TrialErrors};
+use crate::analysis::until::{self, KnownLooks, TrialErrors};
 use crate::engine::RerunPolicy;
 use crate::plan::{Plan, PlannedTrial};
 use crate::scheduler::RunOutcome;
@@ -60,12 +60,12 @@ pub trait Runs {
 /// # Panics
 /// If the sweep has no [until].
 pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Option<RunOutcome>, R::Error> {
-    let mut said = Vec::new();
+    let (mut said, mut looks) = (Vec::new(), KnownLooks::default());
     loop {
         let found = round.trial_results().await?;
         let plan = round.plan();
         let questions = plan.spec.until.as_ref().expect("the sweep has questions");
-        let decision = until::of_plan(questions, &plan.trials, &found, round.workers());
+        let decision = until::of_plan(questions, &plan.trials, &found, round.workers(), &mut looks);
         let wanted: Vec<PlannedTrial> =
             decision.wanted.iter().map(|&place| plan.trials[place].clone()).collect();
         for line in decision.standings.iter().map(ToString::to_string) {

@@ -6,7 +6,7 @@ use metasense_schemas::database::VERSION;
 use metasense_worker::limits::{Needs, check};
 
 use super::presence::FileLoss;
-use crate::files::sidecar;
+use crate::files::{quoted, sidecar};
 use crate::hashes::HashError;
 
 /// `doing` of errors before anything was started.
@@ -42,6 +42,9 @@ pub enum StoreError {
         /// Path of the file with all recorded data, or why there is none.
         saved: Result<PathBuf, String>,
     },
+    /// The path is not UTF-8.
+    #[error("{0:?}: SQLite needs a path in UTF-8; rename the file or folder, or choose another file")]
+    NotUtf8(PathBuf),
     /// The file belongs to another program.
     #[error("{} is not a metasense database; choose another file", .0.display())]
     NotOurs(PathBuf),
@@ -59,7 +62,7 @@ pub enum StoreError {
          into another file",
         .0.display(),
         .1,
-        .0.display()
+        quoted(.0)
     )]
     Older(PathBuf, usize),
     /// The database can only be read as a copy, and copying failed.
@@ -186,6 +189,14 @@ impl StoreError {
     }
 }
 
+/// Refuses a path that SQLite cannot open.
+pub(crate) fn check_utf8(path: &Path) -> Result<()> {
+    match std::path::absolute(path).is_ok_and(|path| path.to_str().is_none()) {
+        true => Err(StoreError::NotUtf8(path.to_owned())),
+        false => Ok(()),
+    }
+}
+
 /// Text about where the recorded data is.
 fn saved_words(path: &Path, saved: &Result<PathBuf, String>) -> String {
     match saved {
@@ -193,8 +204,11 @@ fn saved_words(path: &Path, saved: &Result<PathBuf, String>) -> String {
             "it contains all recorded data; run the same command to resume".into()
         }
         Ok(saved) => {
-            let saved = saved.display();
-            format!("all recorded data is in {saved}; run the same command with --db {saved} to resume")
+            let word = quoted(saved);
+            format!(
+                "all recorded data is in {}; run the same command with --db {word} to resume",
+                saved.display()
+            )
         }
         Err(why) => why.clone(),
     }
@@ -228,8 +242,9 @@ pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
 
 /// The resource that is short, if SQLite cannot write or open a file; otherwise empty.
 fn shortage(path: &Path, source: &sqlx::Error) -> String {
-    let journal = sidecar(path, "-wal");
-    let needs = Needs { files: &[path, &journal], ..Needs::default() };
+    // Sorted rows go to the temporary folder.
+    let (journal, temporary) = (sidecar(path, "-wal"), std::env::temp_dir());
+    let needs = Needs { files: &[path, &journal, &temporary], ..Needs::default() };
     let short = matches!(code(source), Some(10 | 13 | 14)).then(|| check(&needs).err()).flatten();
     short.map_or(String::new(), |short| format!(" ({short})"))
 }

@@ -30,6 +30,7 @@ mod sweep;
 mod write;
 
 use std::collections::HashMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -44,7 +45,7 @@ use crate::sql;
 
 pub(crate) use designs::NAME as KEPT_DESIGNS;
 pub(crate) use digest::check;
-pub(crate) use error::{OPENING, is_no_json, is_not_opened, is_shortage, is_trouble};
+pub(crate) use error::{OPENING, check_utf8, is_no_json, is_not_opened, is_shortage, is_trouble};
 pub use error::{Result, StoreError};
 pub(crate) use lock::lock;
 pub use log::LogLevel;
@@ -84,18 +85,31 @@ impl Store {
 
     async fn open_file(path: PathBuf) -> Result<Self> {
         let file = resolve_links(&path);
+        check_utf8(&file)?;
         let folder = files::folder(&file);
         std::fs::create_dir_all(folder).map_err(|source| StoreError::Unwritable(path.clone(), source))?;
         if let Some(system) = files::disk::network_of(folder) {
             return Err(StoreError::NetworkDisk(path, system));
         }
+        // A link to a missing file stays.
+        let is_new = file.symlink_metadata().is_err();
         let lock = Arc::new(lock(&path, true)?);
+        let opened = Self::open_locked(path, Arc::clone(&lock)).await;
+        if opened.is_err() && is_new && files::is_still(&lock, &file) {
+            let _ = std::fs::remove_file(&file);
+        }
+        opened
+    }
+
+    async fn open_locked(path: PathBuf, lock: Arc<File>) -> Result<Self> {
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         sql::wait_on(&mut connection).await.map_err(at)?;
         sql::register(&mut connection).await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
-        for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
+        // Statement journals in memory: TMPDIR may be full.
+        for pragma in ["PRAGMA temp_store = MEMORY", "PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"]
+        {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
         }
         add_schema(&mut connection, version).await.map_err(at)?;

@@ -44,8 +44,9 @@ impl KnownKeys {
 
     /// Returns the keys that may be an axis: those of a trial.
     pub(super) fn axes(&self) -> impl Iterator<Item = &str> {
-        let of_no_trial =
-            |p: &str| ["sweep.", "run.", "until."].iter().chain(&TABLES).any(|table| p.starts_with(table));
+        let of_no_trial = |p: &str| {
+            ["sweep.", "run.", "until.", "goal."].iter().chain(&TABLES).any(|table| p.starts_with(table))
+        };
         self.paths().filter(move |p| p.contains('.') && !of_no_trial(p) && *p != "sensors.placements")
     }
 

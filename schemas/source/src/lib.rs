@@ -275,7 +275,7 @@ impl Source {
     }
 
     /// Returns an error about a key: at the axis or point that sets it, else at the key, else at the table that would contain
-    /// it.
+    /// it, else at an axis that sets a part of it.
     pub fn error(&self, key: &str, remedy: &str) -> SpecError {
         self.error_with(key, None, remedy)
     }
@@ -288,6 +288,8 @@ impl Source {
         let stated = exact(&axis).or_else(|| self.linked(key, value)).or_else(|| exact(key));
         let mut tables = successors(key.rsplit_once('.'), |(table, _)| table.rsplit_once('.'));
         let place = stated.or_else(|| tables.find_map(|(table, _)| exact(table)));
+        let within = format!("sweep.\"{key}.");
+        let place = place.or_else(|| self.places.iter().find(|p| p.key.starts_with(&within)));
         let value = value.map(shortened).or_else(|| stated.filter(|p| !p.is_table).map(|p| self.value(p)));
         let remedy = remedy.split(' ').map(shortened).collect::<Vec<_>>().join(" ");
         let what = match (key, value) {

@@ -7,6 +7,13 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
         None,
         "removed: no result uses it; ligaments have a linear bending stiffness; delete this key",
     ),
+    (
+        "body.panel_angle",
+        None,
+        "removed: give each force its direction: body.panels = [{ unit = 34, direction = [1, 0] }]",
+    ),
+    ("feasible.keep_clamped", None, "removed: no spec used it; list the units in optimise.frozen"),
+    ("feasible.keep_panels", None, "removed: no spec used it; list the units in optimise.frozen"),
     ("optimise.curvature", None, "removed: it improved no body; delete this key"),
     ("optimise.damping", None, "removed with optimise.curvature; delete this key"),
     (

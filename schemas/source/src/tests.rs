@@ -113,7 +113,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "[stimuli]",
             "[run]\nniceness = 300\n[stimuli]",
-            "a.toml:10: run.niceness = 300: must be a whole number from 0 to 255",
+            "a.toml:10: run.niceness = 300: must be a whole number from 0 to 19",
         ),
         (
             "sensors = [1, 2]",

@@ -266,9 +266,6 @@ pub struct Body {
     /// unit = 34, couple = 5 }]`. Default: `panel_units`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
-    /// Angle by which all forces are rotated anticlockwise: from downwards on a planar body, from inward on a circular body.
-    /// Unit: degrees. Default: 0.
-    pub panel_angle: Option<f64>,
     /// Units per row; diameter in spacings of a circular body. Default: must be given without `file`.
     pub columns: Option<usize>,
     /// Rows of units; not for circular bodies. Default: must be given for a planar body.

@@ -24,12 +24,6 @@ pub struct Feasible {
     pub clearance: f64,
     /// Smallest distance between a ligament and a unit, or two ligaments. Unit: mm.
     pub ligament_clearance: f64,
-    /// Whether units with panels keep their initial shape. Default: false.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub keep_panels: bool,
-    /// Whether clamped and guided units keep their initial shape. Default: false.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub keep_clamped: bool,
 }
 
 impl Default for Feasible {
@@ -43,8 +37,6 @@ impl Default for Feasible {
             min_edge: 3.0,
             clearance: 1.0,
             ligament_clearance: 0.5,
-            keep_panels: false,
-            keep_clamped: false,
         }
     }
 }

@@ -152,6 +152,7 @@ pub struct Run {
     /// Threads of each worker, at most 1024. Default: 1.
     pub threads: Option<usize>,
     /// Added to the niceness of the workers, 0 to 19. Default: 0.
+    #[schemars(range(max = 19))]
     pub niceness: Option<u8>,
     /// Memory limit of each worker. A trial whose arrays need more is rejected before the run starts; a trial that exceeds it
     /// later fails with the reason `out_of_memory`. Without a limit, that is a shortage of the machine. Unit: MiB. Default: no

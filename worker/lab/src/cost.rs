@@ -24,6 +24,8 @@ const REVERSE: f64 = 1.7;
 /// Time of a training iteration (forward, backward) and of a Hessian-vector product relative to a forward pass.
 const ITERATION: f64 = 3.0;
 const HESSIAN_PRODUCT: f64 = 6.3;
+/// Simulations of single samples that select the integrator for a body.
+const PILOTS: f64 = 160.0;
 /// Extra training iterations of a network on each candidate of a random search.
 const AFRESH: f64 = 100.0;
 /// Hessian-vector products per implicit term.
@@ -112,6 +114,19 @@ pub fn first_trains(trials: &mut [PlannedTrial]) {
     }
 }
 
+/// Highest frequency relative to the reference scene's, from √(k/m) of a square unit; 1 for other bodies.
+fn frequency(trial: &TrialSpec) -> f64 {
+    let body = &trial.body;
+    let divided = body.diameter.or(body.width).zip(body.columns).map(|(width, n)| width / n as f64);
+    match (body.stiffness, body.density, divided.or(body.spacing), &body.file) {
+        (Some(stiffness), Some(density), Some(spacing), None) => {
+            let k = stiffness.stretch.max(stiffness.shear) / 3.0;
+            (k / (density / 1e-8)).sqrt() * 15.0 / spacing
+        }
+        _ => 1.0,
+    }
+}
+
 /// Force evaluations per sample, from the diagram of the reference scene (`results/committed/work-precision.svg`).
 fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
     // Evaluations per second of motion at an error of 1e-3, order of convergence, and evaluations per step.
@@ -122,7 +137,7 @@ fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
         // Each takes about 1.4 times as long as those of other methods; each sample has its own steps.
         Method::Tsit5 => (28_000.0, 6, 1.0),
     };
-    let steps = trial.time.duration * at / stages / root(solver.tolerance / 1e-3, power);
+    let steps = frequency(trial) * trial.time.duration * at / stages / root(solver.tolerance / 1e-3, power);
     // Steps end at every instant of the motion and at every kink of the forces.
     let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples).max(instants(trial)) as f64;
     (steps / kinks).ceil() * kinks * stages
@@ -196,7 +211,8 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let compares_initial = optimise.steps() > 0 && trial.evaluation.initial.unwrap_or(true);
     let best = if optimise.steps() > 0 { ringing } else { one_sample };
     let [bodies, times] = if compares_initial { [2.0, one_sample + best] } else { [1.0, best] };
-    let comparison = times * (samples + inverted) + bodies * (trainings * train + readings + factors);
+    let comparison =
+        times * (samples + PILOTS + inverted) + bodies * (trainings * train + readings + factors);
     Parts { steps: optimise.steps() as f64 * step, comparison }
 }
 

@@ -53,6 +53,38 @@ pub struct Evaluated {
     pub posterior: Option<Posterior>,
 }
 
+impl Evaluated {
+    /// From the networks by seed, then fold.
+    fn new(by_seed: &[Vec<FoldEstimates>], folds: Vec<usize>, targets: Vec<f64>) -> Self {
+        let members = stimuli::members(&folds);
+        let size = targets.len() / folds.len();
+        let mut predictions = vec![0.0; targets.len()];
+        for (network, records) in by_seed.iter().take(1).flatten().zip(&members) {
+            for (predicted, record) in network.predictions.chunks_exact(size).zip(records) {
+                predictions[record * size..][..size].copy_from_slice(predicted);
+            }
+        }
+        let errors_of = |networks: &Vec<FoldEstimates>| {
+            let mut errors = vec![None; folds.len()];
+            for (network, records) in networks.iter().zip(&members) {
+                let own = records.iter().zip(&network.errors);
+                own.for_each(|(record, error)| errors[*record] = finite(*error));
+            }
+            errors
+        };
+        Self {
+            errors: by_seed.iter().map(errors_of).collect(),
+            errors_train: map_networks(by_seed, |network| network.error_train),
+            progress: map_networks(by_seed, |network| network.progress.clone()),
+            outcomes: map_networks(by_seed, |network| network.outcome.clone()),
+            targets,
+            folds,
+            predictions,
+            posterior: None,
+        }
+    }
+}
+
 /// Estimates and errors of the network of one fold; from the inverse decoder, only the posterior of one batch of records.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct FoldEstimates {
@@ -150,31 +182,7 @@ pub fn evaluate(
     let mut networks = networks.into_iter().map(|(_, network)| network);
     let by_seed: Vec<Vec<FoldEstimates>> =
         (0..seeds).map(|_| networks.by_ref().take(folds).collect()).collect();
-    let members = stimuli::members(&dealt);
-    let size = records.targets.len() / samples;
-    let mut predictions = vec![0.0; records.targets.len()];
-    for (network, records) in by_seed.iter().flatten().take(folds).zip(&members) {
-        for (predicted, record) in network.predictions.chunks_exact(size).zip(records) {
-            predictions[record * size..][..size].copy_from_slice(predicted);
-        }
-    }
-    let errors_of = |networks: &Vec<FoldEstimates>| {
-        let mut errors = vec![None; samples];
-        for (network, records) in networks.iter().zip(&members) {
-            records.iter().zip(&network.errors).for_each(|(record, error)| errors[*record] = finite(*error));
-        }
-        errors
-    };
-    Ok(Evaluated {
-        errors: by_seed.iter().map(errors_of).collect(),
-        errors_train: map_networks(&by_seed, |network| network.error_train),
-        progress: map_networks(&by_seed, |network| network.progress.clone()),
-        outcomes: map_networks(&by_seed, |network| network.outcome.clone()),
-        targets: records.targets,
-        folds: dealt,
-        predictions,
-        posterior: None,
-    })
+    Ok(Evaluated::new(&by_seed, dealt, records.targets))
 }
 
 fn map_networks<T>(by_seed: &[Vec<FoldEstimates>], what: impl Fn(&FoldEstimates) -> T) -> Vec<Vec<T>> {
@@ -224,16 +232,14 @@ pub fn estimate_by_inverse(
     let mut posterior = Posterior::default();
     let parts = found.iter().flatten().filter_map(|part| part.posterior.as_ref());
     parts.for_each(|part| posterior.extend(part));
-    Ok(Evaluated {
-        folds: vec![0; forces.samples],
-        errors: vec![records.errors(&posterior.forces).into_iter().map(finite).collect()],
-        targets: records.targets,
+    let estimates = FoldEstimates {
         predictions: posterior.forces.clone(),
-        errors_train: vec![vec![None]],
-        progress: vec![vec![Vec::new()]],
-        outcomes: vec![vec!["ok".to_owned()]],
-        posterior: Some(posterior),
-    })
+        errors: records.errors(&posterior.forces),
+        outcome: "ok".to_owned(),
+        ..FoldEstimates::default()
+    };
+    let evaluated = Evaluated::new(&[vec![estimates]], vec![0; forces.samples], records.targets);
+    Ok(Evaluated { posterior: Some(posterior), ..evaluated })
 }
 
 /// As [`evaluate`], with decoders fitted to a twin's simulated training samples, or with its inverse decoder. Also returns the
@@ -264,19 +270,10 @@ pub fn evaluate_by_twin(
     let records = records(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };
     let of = |number| HeldOutEstimates::of(&known, &records, recipe, number as u64, effort.iterations, &pool);
-    let found: Vec<FoldEstimates> =
-        (0..effort.seeds).map(|number| FoldEstimates::new(of(number), number == 0)).collect();
-    let evaluated = Evaluated {
-        errors: found.iter().map(|network| network.errors.iter().map(|e| finite(*e)).collect()).collect(),
-        errors_train: found.iter().map(|network| vec![network.error_train]).collect(),
-        progress: found.iter().map(|network| vec![network.progress.clone()]).collect(),
-        outcomes: found.iter().map(|network| vec![network.outcome.clone()]).collect(),
-        targets: records.targets,
-        folds: folds.to_vec(),
-        predictions: found[0].predictions.clone(),
-        posterior: None,
-    };
-    Ok((sensed, evaluated))
+    let by_seed: Vec<Vec<FoldEstimates>> =
+        (0..effort.seeds).map(|number| vec![FoldEstimates::new(of(number), number == 0)]).collect();
+    let evaluated = Evaluated::new(&by_seed, vec![0; folds.len()], records.targets);
+    Ok((sensed, Evaluated { folds: folds.to_vec(), ..evaluated }))
 }
 
 /// Signals (N, T, 3M) of the trial's model of `design` under the same forces, with the noise of its chips.

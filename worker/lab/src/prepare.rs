@@ -1,14 +1,12 @@
 //! Problems from specs: bodies of polygons, with a design that fits or with placed sensors.
 
-use metasense_numerics::nested;
 use metasense_numerics::place;
-use metasense_numerics::trial::{PreparedTrial, Problem};
-use metasense_schemas::record::BodyRecord;
+use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::problem::external::polygons;
 use metasense_worker::problem::problem;
-use metasense_worker::run::{NoResult, Pool, pool};
-use metasense_worker::{convert, design, memory};
+use metasense_worker::run::{NoResult, Pool};
+use metasense_worker::{design, memory};
 
 /// Converts a spec to a problem.
 ///
@@ -103,21 +101,6 @@ pub fn finite(what: &str, values: &[f64]) -> Result<(), NoResult> {
 pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, NoResult> {
     check_memory(trial)?;
     Ok(place::placed(&prepared(trial)?, pool)?.0)
-}
-
-/// The final comparison of a trial: fresh networks on each design, all with the same initial weights.
-///
-/// # Errors
-/// As `run_trial`.
-pub fn evaluate_designs(
-    trial: &TrialSpec,
-    designs: &[Vec<f64>],
-    threads: usize,
-) -> Result<Vec<BodyRecord>, NoResult> {
-    let pool = pool(threads)?;
-    let trial = PreparedTrial::new(&placed(trial, &pool)?, &pool)?;
-    let bodies = nested::evaluate_designs(&trial, designs, &mut nested::NoObserver);
-    Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 
 #[cfg(test)]

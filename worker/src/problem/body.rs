@@ -6,8 +6,11 @@ use metasense_numerics::feasible::{FeasibleSet, Limits};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, Guide, LayoutKind, Struck, TrialSpec};
 use std::collections::BTreeMap;
 
-use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, positive, require, within};
+use crate::invalid::{Invalid, as_written, at_least, invalid, positive, require, within};
 use crate::polygons;
+
+/// Greatest number of units of a body.
+const UNITS_MAX: usize = 10_000;
 
 /// The layout of a body; of an external one a layout without units.
 ///
@@ -26,7 +29,13 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     }
     let columns = given("body.columns", body.columns)?;
     within("body.columns", columns, 2, 1000)?;
-    at_most("body.rows", body.rows(), 10_000 / columns)?;
+    let (key, value) = match body.layout {
+        LayoutKind::Planar => ("body.rows", body.rows()),
+        LayoutKind::Circular => ("body.columns", columns),
+    };
+    let units = columns.saturating_mul(body.rows());
+    let remedy = format!("gives {units} units; a body has at most {UNITS_MAX}");
+    require(units <= UNITS_MAX, key, value, &remedy)?;
     let [spacing, ligament_length] = lengths(body)?;
     let remedy = "must be less than body.spacing";
     require(ligament_length < spacing, "body.ligament_length", ligament_length, remedy)?;
@@ -73,12 +82,11 @@ pub(super) fn lengths(body: &spec::Body) -> Result<[f64; 2], Invalid> {
     Ok([length("body.spacing", body.spacing)?, length("body.ligament_length", body.ligament_length)?])
 }
 
-/// The panels at the units of `panel_units`, with forces by `body.panels` or the body's file, rotated by `body.panel_angle`. Default:
-/// along −y on planar bodies; along the rule's direction, or towards the centre, on circular ones.
+/// The panels at the units of `panel_units`, with forces by `body.panels` or the body's file. Default: along −y on planar bodies;
+/// along the rule's direction, or towards the centre, on circular ones.
 pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
     let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());
-    let (sin, cos) = body.panel_angle.unwrap_or_default().to_radians().sin_cos();
     let listed = PanelList::new(body, layout);
     let (in_turn, driven) = (listed.begins_with(units), driven(body));
     let panel = |(k, &unit): (usize, &usize)| {
@@ -90,7 +98,7 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
         if let Some(moment) = couple {
             return Panel { moment, ..Panel::central(unit, [0.0; 2]) };
         }
-        let [x, y] = match body.layout {
+        let direction = match body.layout {
             _ if direction.is_some() => polygons::unit_vector(direction.unwrap_or_default()),
             LayoutKind::Planar => [0.0, -1.0],
             LayoutKind::Circular if by_rule => ruled[k].1,
@@ -99,10 +107,6 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
                 let radius = x.hypot(y).max(f64::MIN_POSITIVE);
                 [-x / radius, -y / radius]
             }
-        };
-        let direction = match body.panel_angle {
-            Some(_) => [cos * x - sin * y, sin * x + cos * y],
-            None => [x, y],
         };
         let [p, q] = at.unwrap_or_default();
         let moves = base.map(|mass| {
@@ -246,7 +250,14 @@ pub(super) fn build_panels(
         }
         let others = if told { &[][..] } else { &units[..k] };
         let key = if told { listed.key } else { "body.panel_units" };
-        check_units(key, &[others, &[*unit]].concat(), layout, held)?;
+        check_units(key, &[others, &[*unit]].concat(), layout, &[])?;
+        let by_default = || panel_units(body, layout, units.len()).is_ok_and(|default| default == *units);
+        if held.contains(unit) && !told && by_default() {
+            let remedy =
+                format!("holds unit {unit}, on which a panel acts: set body.panel_units to free units");
+            return Err(invalid("body.clamp", bare(&clamp(body)), remedy));
+        }
+        require(!held.contains(unit), key, unit, "is clamped and cannot move")?;
     }
     Ok(panels(body, units, layout))
 }
@@ -273,7 +284,7 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
         let remedy = "cannot be set together with body.panels";
         require(body.panels.is_empty(), "body.panel_units", format!("{units:?}"), remedy)?;
         check_units("body.panel_units", units, layout, &[])?;
-        let remedy = format!("body.panel_units names {} units", units.len());
+        let remedy = format!("body.panel_units names {} units: name as many units as panels", units.len());
         return if units.len() == panels { Ok(units.clone()) } else { Err(none(remedy)) };
     }
     let listed = PanelList::new(body, layout);
@@ -358,8 +369,11 @@ pub fn guided(body: &spec::Body, layout: &Layout) -> Result<Vec<(usize, [bool; 3
         let wrong = |remedy: &str| Err(invalid(key, format!("guides[{k}]"), remedy));
         let mut held = [false; 3];
         holds.iter().for_each(|way| held[*way as usize] = true);
-        if held == [false; 3] {
-            return wrong("its holds must name \"x\", \"y\" or \"turn\"");
+        if held.iter().filter(|held| **held).count() < holds.len().max(1) {
+            return wrong("its holds must name \"x\", \"y\" or \"turn\", each once");
+        }
+        if *units == Clamp::Units(Vec::new()) {
+            return wrong("its units must contain a unit");
         }
         if held == [true; 3] {
             return wrong("holds all motions of its units: list them in body.clamp");

@@ -5,7 +5,7 @@ use metasense_numerics::feasible::{FeasibleSet, Limits};
 use metasense_numerics::trial::{StepTraining, Terms, TrainingProtocol};
 use metasense_schemas::spec::{self, TrialSpec};
 
-use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, fixed_shape_units, held};
+use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units};
 use crate::invalid::{Invalid, absent, as_written, positive, require, within};
 
 /// The training protocol.
@@ -69,23 +69,17 @@ pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, In
         return Ok(shifts.len());
     }
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
-    let kept = fixed_shape_units(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
-    let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();
+    let parameters = Freedom::new(layout, tie, &frozen).parameters();
     let remedy = "must leave the shape of at least one unit free";
     require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), remedy)?;
     Ok(parameters)
 }
 
-/// The feasible designs, as in `Problem::castable`. Tied shifts stay tied; units that are frozen or in `kept` do not change.
+/// The feasible designs, as in `Problem::castable`. Tied shifts stay tied; frozen units do not change.
 ///
 /// # Errors
 /// If `optimise.tie` or `optimise.frozen` is invalid.
-pub fn castable(
-    optimise: &spec::Optimise,
-    layout: &Layout,
-    limits: Limits,
-    kept: &[usize],
-) -> Result<FeasibleSet, Invalid> {
+pub fn castable(optimise: &spec::Optimise, layout: &Layout, limits: Limits) -> Result<FeasibleSet, Invalid> {
     let (tie, frozen) = (tie(optimise)?, frozen(optimise, layout)?);
-    Ok(FeasibleSet::moving(layout, limits, tie, &frozen, kept))
+    Ok(FeasibleSet::moving(layout, limits, tie, &frozen))
 }

@@ -290,6 +290,9 @@ pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
 
 /// Greatest mass of a chip (Mg); more is probably a wrong unit.
 const CHIP_MAX: f64 = 1e-3;
+/// Greatest moment of inertia of a chip (Mg mm²), and greatest coordinate of its offset (mm).
+const INERTIA_MAX: f64 = 1.0;
+const OFFSET_MAX: f64 = 1000.0;
 /// Greatest cut-off of a chip's low-pass, in readings per second: its clock is then 64 times as fast as the readings.
 const BANDWIDTH_MAX: f64 = 2.0;
 
@@ -326,7 +329,9 @@ pub(super) fn disturbance(sensors: &spec::Sensors, time: &spec::Time) -> Result<
     require(fine, "sensors.resolution", format!("{resolution:?}"), remedy)?;
     let disturbance = ChipErrors { noise, bias, delay, bandwidth, range, resolution };
     let clock = disturbance.clock(interval);
-    let (key, value) = if delay > 0.0 { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
+    let of_delay =
+        delay > 0.0 && ChipErrors { bandwidth: f64::INFINITY, ..disturbance }.clock(interval) == clock;
+    let (key, value) = if of_delay { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
     let most = INSTANTS_MAX / clock;
     let remedy =
         format!("needs {clock} instants of motion per reading, so that time.samples must be at most {most}");
@@ -340,6 +345,8 @@ pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<AddedMass>, Inva
     not_negative("sensors.mass", mass)?;
     require(mass <= CHIP_MAX, "sensors.mass", mass, "must be at most 1e-3 Mg (1 kg); 9 g = 9e-6 Mg")?;
     not_negative("sensors.inertia", moment)?;
+    let remedy = "must be at most 1 Mg mm²; 9 g on 23.5 × 32.5 mm = 1.2e-3 Mg mm²";
+    require(moment <= INERTIA_MAX, "sensors.inertia", moment, remedy)?;
     Ok((mass > 0.0 || moment > 0.0).then_some(AddedMass { mass, moment }))
 }
 
@@ -347,8 +354,8 @@ pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<AddedMass>, Inva
 pub(super) fn mount(sensors: &spec::Sensors) -> Result<Option<Mount>, Invalid> {
     let (offset, tilt) = (sensors.offset.unwrap_or_default(), sensors.tilt.unwrap_or_default());
     let shown = format!("{offset:?}");
-    let sound = offset.iter().all(|r| r.is_finite());
-    require(sound, "sensors.offset", &shown, "must be two finite numbers (mm)")?;
+    let sound = offset.iter().all(|r| r.abs() <= OFFSET_MAX);
+    require(sound, "sensors.offset", &shown, "must be two numbers from -1000 to 1000 mm")?;
     require((-360.0..=360.0).contains(&tilt), "sensors.tilt", tilt, "must lie between -360 and 360 degrees")?;
     let weighs = sensors.mass.unwrap_or_default() > 0.0 || sensors.inertia.unwrap_or_default() > 0.0;
     let off = offset != [0.0; 2];

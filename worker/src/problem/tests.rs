@@ -62,6 +62,7 @@ fn an_impossible_value_is_named_by_its_key() {
         ("body.contact", json!({ "stiffness": -1.0 }), "body.contact.stiffness"),
         // accepted when read from databases, but not run
         ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
+        ("body.contact", json!({ "min_angle": 60.0, "cutoff_angle": 179.0 }), "body.contact.min_angle"),
         ("body.clamp", json!("hub"), "body.clamp"),
         ("body.clamp", json!([3, 3]), "body.clamp"),
         ("body.clamp", json!([99]), "body.clamp"),
@@ -93,6 +94,7 @@ fn an_impossible_value_is_named_by_its_key() {
         ("evaluation.batch", json!(0), "evaluation.batch"),
         ("evaluation.long_iterations", json!(0), "evaluation.long_iterations"),
         ("feasible.min_block_angle", json!(95.0), "feasible.min_block_angle"),
+        ("feasible.max_block_angle", json!(90.0), "feasible.max_block_angle"),
         ("feasible.clearance", json!(-1.0), "feasible.clearance"),
         ("panel_units.0", json!(2), "body.panel_units"),
         ("panel_units.0", json!(34), "body.panel_units"),
@@ -288,24 +290,6 @@ fn forces_act_where_the_list_of_panels_says() {
     }
 }
 
-/// An angle of 90° turns forces from down to right; on a circular body it turns each from inward.
-#[test]
-fn panels_are_turned_by_their_angle() {
-    let at = |angle: f64| problem(&trial(&[("body.panel_angle", json!(angle))])).unwrap().scene.panels;
-    let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-15;
-    assert!(at(90.0).iter().all(|panel| near(panel.direction, [1.0, 0.0])), "{:?}", at(90.0));
-    let layout = Layout::circular(&Pattern::square(), 8, 15.0, 2.25);
-    let units: Vec<usize> = layout.circular_panels(4).unwrap().into_iter().map(|panel| panel.0).collect();
-    let of = |angle: Value| {
-        let body = trial(&[("body.layout", json!("circular")), ("body.panel_angle", angle)]).body;
-        panels(&body, &units, &layout)
-    };
-    for (straight, turned) in of(Value::Null).into_iter().zip(of(json!(-90.0))) {
-        let [x, y] = straight.direction;
-        assert!(near(turned.direction, [y, -x]), "{x} {y} {turned:?}");
-    }
-}
-
 /// Compression moves held units towards the middle between the outermost; units there stay.
 #[test]
 fn compression_moves_what_is_held() {
@@ -338,7 +322,12 @@ fn compression_moves_what_is_held() {
             "body.compression",
             "from -0.5 to 0.5",
         ),
-        (vec![("body.clamp", json!("ends"))], "body.panel_units", "is clamped"),
+        (vec![("body.clamp", json!("ends"))], "body.clamp", "holds unit 31, on which a panel acts"),
+        (
+            vec![("body.clamp", json!("ends")), ("panel_units", json!([32, 34]))],
+            "body.panel_units",
+            "is clamped",
+        ),
         (
             vec![("body.layout", json!("circular")), ("body.rows", Value::Null), sides],
             "body.clamp",
@@ -375,6 +364,8 @@ fn guides_hold_units_in_part() {
     let shaken = [("body.panels", base), ("panel_units", json!([0, 34]))];
     for (keys, key, remedy) in [
         (vec![rollers(json!([9]), json!([]))], "body.guides", "must name"),
+        (vec![rollers(json!([9]), json!(["x", "x"]))], "body.guides", "each once"),
+        (vec![rollers(json!([]), json!(["x"]))], "body.guides", "must contain a unit"),
         (vec![rollers(json!([9]), json!(["x", "y", "turn"]))], "body.guides", "body.clamp"),
         (vec![rollers(json!([0]), json!(["x"]))], "body.guides", "is clamped"),
         (vec![rollers(json!([99]), json!(["x"]))], "body.guides", "units are 0 to 35"),

@@ -4,7 +4,7 @@ use serde_json::json;
 
 fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whole: [f64; 2]) -> Trial {
     let keys = [("brain.kind", brain), ("optimise.brain", with)];
-    let pair = |e: [f64; 2]| e.map(|e| [Some(2.0 * e), Some(e)]);
+    let pair = |e: [f64; 2]| e.map(|e| [Some(2.0 * e), Some(e), None]);
     // by medians training makes every linear decoder worse
     let read = |[a, b]: [f64; 2]| [[Some(2.0 * a), Some(a), Some(b)], [Some(2.0 * b), Some(b), Some(a)]];
     Trial {

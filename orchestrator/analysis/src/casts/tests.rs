@@ -43,8 +43,7 @@ fn gains_over_casts_are_told_by_body_and_brain() {
             trials.push(Trial {
                 setting: flatten(&spec).into_iter().collect(),
                 cluster: Cluster { placement: 0, seed },
-                errors: [[None, Some(factor * 20.0)], [None, Some(factor * designed)]],
-                medians: [Some(factor * 20.0), Some(factor * designed)],
+                errors: [20.0, designed].map(|e| [None, Some(factor * e), Some(factor * e)]),
                 casts: read.into_iter().map(reading).collect(),
                 ..Trial::default()
             });

@@ -15,7 +15,7 @@ fn database(brain: &str, factor: f64, sensors: &[u64]) -> Vec<Trial> {
             setting: setting.into_iter().map(|(path, value)| (path.to_owned(), value)).collect(),
             sensors: m,
             cluster: Cluster { placement, seed: 1 },
-            errors: [[None, error], [None, error.map(|e| 0.5 * e)]],
+            errors: [[None, error, None], [None, error.map(|e| 0.5 * e), None]],
             ..Trial::default()
         }
     };

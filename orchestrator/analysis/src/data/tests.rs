@@ -127,7 +127,7 @@ fn a_trial_that_is_judged_again_counts_once() {
             panels: 2,
             sensors: 1,
             cluster: Cluster { placement: 0, seed },
-            errors: errors.map(|error| [Some(error); 2]),
+            errors: errors.map(|error| [Some(error), Some(error), None]),
             ..Trial::default()
         }
     };

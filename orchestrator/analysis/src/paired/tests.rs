@@ -48,8 +48,10 @@ fn a_few_samples_that_decide_a_mean_are_told() {
         let error = |seed: u64| if seed == 5 { last } else { 10.0 };
         let trial = |seed: u64| Trial {
             cluster: Cluster { placement: 0, seed },
-            errors: [[None, Some(20.0 + seed as f64)], [None, Some(error(seed))]],
-            medians: [Some(18.0 + seed as f64), Some(9.0)],
+            errors: [
+                [None, Some(20.0 + seed as f64), Some(18.0 + seed as f64)],
+                [None, Some(error(seed)), Some(9.0)],
+            ],
             ..Trial::default()
         };
         (0..6).map(trial).collect()
@@ -64,6 +66,6 @@ fn a_few_samples_that_decide_a_mean_are_told() {
     assert_eq!(of(&trials(11.0)), None);
     // nothing is compared if some trials have no median
     let mut some = trials(500.0);
-    some[0].medians = [None; 2];
+    some[0].errors.iter_mut().for_each(|of| of[2] = None);
     assert_eq!(of(&some), None);
 }

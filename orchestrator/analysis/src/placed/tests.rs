@@ -24,7 +24,7 @@ fn placing_and_training_are_told_apart() {
                     panels: 4,
                     sensors: m,
                     cluster: Cluster { placement, seed },
-                    errors: [[Some(initial); 2], [Some(trained); 2]],
+                    errors: [initial, trained].map(|e| [Some(e), Some(e), None]),
                     ..Trial::default()
                 });
             }

@@ -6,7 +6,7 @@ fn trial(design: Option<u64>, placement: u64, initial: f64, optimised: f64) -> T
     Trial {
         setting: design.map(|seed| ("body.design.random".to_owned(), json!(seed))).into_iter().collect(),
         cluster: Cluster { placement, seed: 1 },
-        errors: [[None, Some(initial)], [None, Some(optimised)]],
+        errors: [[None, Some(initial), None], [None, Some(optimised), None]],
         ..Trial::default()
     }
 }

@@ -7,7 +7,7 @@
 //! excludes the true mean. It is estimated from simulated sequences, as in AdaStop (Mathieu et al., TMLR 2024), at its lower
 //! 2.5 % limit.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use metasense_numerics::random::Draw;
 use metasense_numerics::student::{chance_above, student_above};
@@ -26,6 +26,10 @@ pub(super) struct Looks {
     /// Cached quantiles by number of units and probability.
     known: HashMap<(usize, u64), f64>,
 }
+
+/// Bounds by number of units of the grid. Their simulation takes long for a large grid: keep them from decision to decision.
+#[derive(Default)]
+pub struct KnownLooks(pub(super) BTreeMap<usize, Looks>);
 
 impl Looks {
     /// Simulates the looks of a grid with this number of units.

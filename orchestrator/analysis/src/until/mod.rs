@@ -9,7 +9,7 @@
 mod ask;
 mod looks;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap};
 use std::fmt;
 
 use metasense_schemas::record::PlannedTrial as Planned;
@@ -21,6 +21,7 @@ use super::{BodyState, Cluster, Observation, Set, Trial};
 
 use ask::Curves;
 pub use ask::{UntilAnswer, UntilQuestion};
+pub use looks::KnownLooks;
 use looks::Looks;
 
 /// State of a question in one setting of the sweep.
@@ -155,19 +156,25 @@ pub struct TrialErrors {
 
 /// Returns the state of the questions and the wanted trials, in the order of the plan. Once `hours` are spent, only settled
 /// trials are wanted. Open questions want enough units ahead to occupy the workers.
-pub fn of_plan(until: &Until, plan: &[Planned], found: &[TrialErrors], workers: u32) -> Decision {
+pub fn of_plan(
+    until: &Until,
+    plan: &[Planned],
+    found: &[TrialErrors],
+    workers: u32,
+    looks: &mut KnownLooks,
+) -> Decision {
     let mut trials: Vec<Trial> = plan.iter().map(planned).collect();
     let mut settled = vec![false; trials.len()];
     let places: HashMap<&str, &TrialErrors> = found.iter().map(|f| (f.hash.as_str(), f)).collect();
     let mut seconds = 0.0;
     for (trial, settled) in trials.iter_mut().zip(&mut settled) {
         if let Some(found) = places.get(trial.hash.as_str()) {
-            trial.errors = found.errors.map(|error| [None, error]);
+            trial.errors = found.errors.map(|error| [None, error, None]);
             (*settled, seconds) = (true, seconds + found.seconds);
         }
     }
     let points = trials.iter().filter(|trial| trial.cluster == trials[0].cluster).count();
-    let mut decision = decide(until, &trials, &settled, (workers as usize).div_ceil(points.max(1)));
+    let mut decision = decide(until, &trials, &settled, (workers as usize).div_ceil(points.max(1)), looks);
     if until.at_most.hours.is_some_and(|hours| seconds >= 3600.0 * hours) {
         decision.wanted.retain(|&trial| settled[trial]);
     }
@@ -176,9 +183,14 @@ pub fn of_plan(until: &Until, plan: &[Planned], found: &[TrialErrors], workers: 
 
 /// The same from the `settled` trials (done, or failed permanently). An open question wants all units before the first
 /// unsettled one, and `ahead` more.
-fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> Decision {
+fn decide(
+    until: &Until,
+    trials: &[Trial],
+    settled: &[bool],
+    ahead: usize,
+    looks: &mut KnownLooks,
+) -> Decision {
     let alpha = 1.0 - until.confidence;
-    let mut looks: BTreeMap<usize, Looks> = BTreeMap::new();
     let (mut standings, mut wanted) = (Vec::new(), BTreeSet::new());
     for asked in setting_questions(until, trials) {
         let passed =
@@ -186,7 +198,7 @@ fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> De
         let grid = asked.units.len();
         let curve = |unit: &Vec<(usize, f64)>| curve(unit, &asked.places, trials);
         let curves: Vec<Option<Vec<f64>>> = asked.units[..passed].iter().map(curve).collect();
-        let looks = looks.entry(grid).or_insert_with(|| Looks::new(grid));
+        let looks = looks.0.entry(grid).or_insert_with(|| Looks::new(grid));
         let answer = settle(asked.question, &curves, &asked.places, alpha, looks);
         let needed = match &answer {
             Some((_, units)) => *units,

@@ -17,7 +17,7 @@ fn plan() -> Vec<Trial> {
             panels: 4,
             sensors: m,
             cluster: Cluster { placement, seed: 1 },
-            errors: [[None, Some(initial)], [None, Some(error)]],
+            errors: [[None, Some(initial), None], [None, Some(error), None]],
             ..Trial::default()
         }
     };
@@ -28,8 +28,13 @@ fn until() -> Until {
     Until { paired: Some(0.3), within: Some(0.1), fewer: true, ..Until::default() }
 }
 
-/// Answers do not depend on other settled trials or their order. Looks stop at the first unit that is not settled. Units with a
-/// failed trial are skipped.
+/// A decision without earlier ones.
+fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> Decision {
+    super::decide(until, trials, settled, ahead, &mut KnownLooks::default())
+}
+
+/// Answers do not depend on other settled trials, their order, or earlier decisions. Looks stop at the first unit that is not
+/// settled. Units with a failed trial are skipped.
 #[test]
 fn decisions_hang_on_leading_results_alone() {
     let trials = plan();
@@ -43,8 +48,10 @@ fn decisions_hang_on_leading_results_alone() {
     let most = *took.iter().max().unwrap();
     assert!(most < 12 && whole.wanted == (0..4 * most).collect::<Vec<_>>(), "{whole:?}");
     assert_eq!(whole.standings[1].answer.unwrap().0, UntilAnswer::Sensors(Some(3.0)));
+    let mut looks = KnownLooks::default();
     for units in 4..12 {
         let part = decide(&until(), &trials, &known(units), 1);
+        assert_eq!(super::decide(&until(), &trials, &known(units), 1, &mut looks), part, "known bounds");
         for (part, whole) in part.standings.iter().zip(&whole.standings) {
             let due = whole.answer.filter(|(_, took)| *took <= units);
             assert_eq!(part.answer, due, "{units} units");

@@ -71,7 +71,7 @@ pub(super) fn submit(
 ) -> Result<(), Error> {
     submission.queue.cluster.clone_from(&queue.cluster);
     let new = submit_shards(submission, commands, notes)?;
-    let (folder, out) = (submission.folder.display(), submission.out.display());
+    let (folder, out) = (files::quoted(&submission.folder), submission.out.display());
     say!("metasense status --folder {folder} shows the shards");
     jobs.retain(|job| queue.jobs.contains(&job.job));
     jobs.extend(new);
@@ -84,7 +84,8 @@ pub(super) fn submit(
     let (merge_job, _) = run(&merge).map_err(|refused| {
         Error::Partly(format!(
             "{refused}; the shards are queued, but not the merge: run the same command to queue it, or later `metasense cluster merge \
-             {folder} --out {out}`"
+             {folder} --out {}`",
+            files::quoted(&submission.out)
         ))
     })?;
     say!("submitted: job {merge_job}, the merge into {out}");

@@ -39,7 +39,7 @@ pub enum Extent {
 /// Result of a merge.
 #[derive(Debug, Default)]
 pub struct Summary {
-    /// Number of databases in the result, including `known`.
+    /// Number of merged databases, including `known`, without the existing result.
     pub read: usize,
     /// Number of unchanged databases that were in the result before and were not read again.
     pub known: usize,
@@ -118,6 +118,7 @@ pub async fn merge(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summ
 
 async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
     let out = &files::resolve_links(out);
+    store::check_utf8(out)?;
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);
     std::fs::create_dir_all(folder).map_err(unwritable)?;
@@ -202,7 +203,7 @@ async fn merge_in(
         });
         (summary.trials, summary.missing) =
             asked.await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
-        summary.read = inputs.len() + summary.known;
+        summary.read = summary.known;
         return Ok(summary);
     }
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
@@ -238,7 +239,7 @@ async fn merge_in(
         summary.refused.push((inputs.remove(i).named, why));
         std::fs::remove_file(&built).map_err(unwritable)?;
     }
-    summary.read = inputs.len() + summary.known;
+    summary.read = inputs.iter().filter(|input| input.file != out).count() + summary.known;
     put_in_place(&built, out, lock).await?;
     Ok(summary)
 }

@@ -45,6 +45,9 @@ async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_mor
     assert_eq!((told("last words"), told("shard-1-of-9.out"), told("signal")), (3, 3, 3), "{said:?}");
     run("echo of the script >&2; exit 126", &[1]).await;
     assert_eq!((told("of the script"), told("126")), (3, 3), "{said:?}");
+    let script = "printf 'error: first\\n  because: second\\nthe end\\n' >> shard-$1-of-9.out; exit 3";
+    run(script, &[4]).await;
+    assert_eq!(told("error: first because: second ("), 1, "{said:?}");
     run("exit 3", &[2]).await;
     assert_eq!(told("is empty"), 1, "{said:?}");
     let (ended, calls) = run("exit 5", &[1, 2, 3, 4]).await;

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::response::Html;
 use maud::{Markup, html};
 use serde_json::Value;
 
 use super::trial::{Trial, curves};
-use super::{ServerState, framed, to_trial};
+use super::{Query, ServerState, framed, to_trial};
 use crate::analysis::compare::TrialPairs;
 use crate::analysis::setting::flatten;
 use crate::cell::brief;

@@ -4,12 +4,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::response::Html;
 use maud::html;
 use serde::Deserialize;
 
-use super::{ServerState, framed, live, query, to_trial, trouble};
+use super::{Query, ServerState, framed, live, query, to_trial, trouble};
 use crate::analysis::kinds::{brains, format_brains};
 use crate::analysis::numbers::geometric_mean;
 use crate::cell::plain;

@@ -9,9 +9,11 @@ pub mod trials;
 
 use std::sync::Arc;
 
-use axum::extract::State;
+use axum::extract::{self, FromRequestParts, State};
+use axum::http::request::Parts;
 use axum::response::{Html, IntoResponse, Redirect, Response};
 use maud::{Markup, html};
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use super::{DatabaseState, PageError, ServerState, source};
@@ -116,6 +118,18 @@ fn trial_links(number: &str) -> impl Fn(&str, &Value) -> Option<String> {
     move |column, value| match column {
         "hash" | "trial" => value.as_str().filter(|hash| !hash.is_empty()).map(|hash| to_trial(number, hash)),
         _ => None,
+    }
+}
+
+/// The query string of a request; an invalid one is refused with a page.
+pub(super) struct Query<T>(pub T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
+    type Rejection = PageError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, PageError> {
+        let query = extract::Query::try_from_uri(&parts.uri);
+        query.map(|query| Self(query.0)).map_err(|e| PageError::Asked(e.body_text()))
     }
 }
 

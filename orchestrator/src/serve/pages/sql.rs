@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::http::header;
 use axum::response::{Html, IntoResponse, Response};
 use maud::{Markup, html};
@@ -11,7 +11,7 @@ use metasense_schemas::database::VIEWS;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{ServerState, framed, query, trial_links};
+use super::{Query, ServerState, framed, query, trial_links};
 use crate::look::{Axis, Format, Plot, Scale, Table, lines, prose};
 use crate::reader::{AnswerLimits, Reader};
 use crate::serve::{PageError, file_of};
@@ -76,6 +76,7 @@ pub async fn file(
 ) -> Result<Response, PageError> {
     let typed = format == Format::Parquet;
     let SqlAnswer { table, cut, types } = answer(&served, &at, &asked.q, FILE, typed).await?;
+    format.check(&table.columns).map_err(PageError::Asked)?;
     if let Some(why) = cut {
         return Err(PageError::Asked(format!("{why}. For more, use `metasense query`.")));
     }

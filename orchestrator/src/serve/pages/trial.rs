@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::response::Html;
 use maud::{Markup, html};
 use metasense_lab::replay::drawing;
@@ -10,7 +10,7 @@ use metasense_lab::simulate;
 use metasense_schemas::spec::TrialSpec;
 use serde::Deserialize;
 
-use super::{ServerState, framed, live, query, trouble};
+use super::{Query, ServerState, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
 use crate::cell::brief;
 use crate::look::body::Sketch;

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::response::Html;
 use maud::{Markup, html};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{ServerState, framed, live, query, to_trial, trouble};
+use super::{Query, ServerState, framed, live, query, to_trial, trouble};
 use crate::cell::plain;
 use crate::look::{number, short_hash};
 use crate::plan::counted;

@@ -45,13 +45,6 @@ impl Freedom {
         Self { leader: (0..pairs).collect(), frozen: vec![false; pairs], length }
     }
 
-    /// As [`Freedom::new`], for a body with units of fixed shape (`kept`). If shifts are tied or frozen, these units are frozen too.
-    /// Otherwise the feasible set keeps their shape, and their gradient counts in the length of the gradient.
-    pub fn of(layout: &Layout, tie: [usize; 2], frozen: &[usize], kept: &[usize]) -> Self {
-        let whole = tie == [1, 1] && frozen.is_empty();
-        Self::new(layout, tie, &if whole { Vec::new() } else { [frozen, kept].concat() })
-    }
-
     /// Whether all shifts are independent.
     pub fn is_whole(&self) -> bool {
         !self.is_tied() && !self.frozen.contains(&true)

@@ -28,13 +28,15 @@ pub struct Geometry {
 pub(super) fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
-pub(super) fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+/// Scalar product.
+pub fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 fn sum(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0] + b[0], a[1] + b[1]]
 }
-pub(super) fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+/// a − b.
+pub fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0] - b[0], a[1] - b[1]]
 }
 fn add_scaled(to: &mut [f64; 2], s: f64, a: [f64; 2]) {

@@ -9,7 +9,7 @@ mod pattern;
 mod rigid;
 
 pub use freedom::Freedom;
-pub use geometry::{Geometry, edges, moments, void_angles_vjp};
+pub use geometry::{Geometry, difference, dot, edges, moments, void_angles_vjp};
 pub use layout::{GroupCell, Groups, Layout, Ligament};
 pub use pattern::{End, Pattern};
 pub use rigid::{FollowRule, Follower};

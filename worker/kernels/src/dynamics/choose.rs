@@ -9,6 +9,9 @@ use super::{Accuracy, IntegrationPlan, Integrator, IntegratorSettings, Precision
 /// instantaneous stiffness.
 pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
     let model = Model::new(scene, design);
+    if model.start.is_err() {
+        return 0.0;
+    }
     let root: Vec<f64> = model.inverse_mass.as_flattened().iter().map(|m| m.sqrt()).collect();
     let n = root.len();
     let apply = |y: &[f64]| -> Vec<f64> {
@@ -83,7 +86,7 @@ const RADIANS_MAX: f64 = 66.0;
 /// A method of equal steps for a scene.
 pub(super) struct Candidate {
     pub(super) law: &'static Law,
-    /// Highest frequency (rad/s).
+    /// Highest frequency, or the fastest decay if this is larger (rad/s).
     pub(super) highest: f64,
     /// Length of an interval (s).
     pub(super) interval: f64,
@@ -135,9 +138,19 @@ impl Candidate {
     }
 }
 
+/// Largest rate c/m of the free coordinates (1/s); strong damping needs steps that resolve it.
+fn fastest_decay(scene: &Scene, design: &[f64]) -> f64 {
+    let model = Model::new(scene, design);
+    if model.start.is_err() {
+        return 0.0;
+    }
+    let rates = model.inverse_mass.iter().flat_map(|inverse| (0..3).map(|d| inverse[d] * model.damping[d]));
+    rates.fold(0.0, f64::max)
+}
+
 /// All methods of equal steps for this scene, under forces with `kinks` kinks per interval.
 pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Candidate> {
-    let highest = highest_frequency(scene, design);
+    let highest = highest_frequency(scene, design).max(fastest_decay(scene, design));
     let interval = scene.duration / scene.instants as f64;
     LAWS.iter().map(|law| Candidate { law, highest, interval, kinks }).collect()
 }

@@ -31,7 +31,7 @@ impl Model {
     /// Model of `scene` with `design` at the start of its samples.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
         let cast = Self::uncompressed(scene, design);
-        match scene.imposed.is_empty() {
+        match scene.imposed.is_empty() || cast.start.is_err() {
             true => cast,
             false => Self { start: equilibrium(scene, &cast), ..cast },
         }

@@ -101,6 +101,9 @@ pub struct Model {
     pub start: Result<Vec<[f64; 3]>, Outcome>,
 }
 
+/// Least mass of a unit relative to the mean. Lighter units would need steps of no use.
+const VANISHED: f64 = 1e-3;
+
 /// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) for the mean undisplaced unit, so damping does not depend on the design; or ζ times the
 /// given C.
 pub fn damping(scene: &Scene) -> [f64; 3] {
@@ -155,6 +158,8 @@ impl Model {
         };
         let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
         let number = |panel: &Panel| panel.node.map(|node| layout.number(End { unit: panel.unit, node }));
+        let mean = geometry.mass.iter().sum::<f64>() / layout.units() as f64;
+        let has_mass = geometry.mass.iter().all(|m| *m > VANISHED * mean);
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
             let chip = AddedMass::mass_on_unit(scene, unit);
@@ -183,7 +188,7 @@ impl Model {
             free: (0..layout.units()).filter(|u| !scene.clamped.contains(u)).collect(),
             geometry,
             struck: scene.panels.iter().map(number).collect(),
-            start: Ok(Vec::new()),
+            start: if has_mass { Ok(Vec::new()) } else { Err(Outcome::NoMass) },
         }
     }
 

@@ -25,11 +25,13 @@ pub enum Outcome {
     Buckled,
     /// No equilibrium exists under compression.
     NoEquilibrium,
+    /// A unit is inverted, or has nearly vanished.
+    NoMass,
 }
 
 impl Outcome {
     /// All outcomes.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ok,
         Self::StepLimit,
         Self::StepTooSmall,
@@ -38,6 +40,7 @@ impl Outcome {
         Self::Unstable,
         Self::Buckled,
         Self::NoEquilibrium,
+        Self::NoMass,
     ];
 
     /// Name in records.
@@ -51,6 +54,7 @@ impl Outcome {
             Self::Unstable => "unstable",
             Self::Buckled => "buckled",
             Self::NoEquilibrium => "no_equilibrium",
+            Self::NoMass => "no_mass",
         }
     }
 }

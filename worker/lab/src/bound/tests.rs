@@ -1,7 +1,8 @@
+use metasense_numerics::nested::{NoObserver, evaluate_designs};
+use metasense_numerics::trial::PreparedTrial;
 use metasense_worker::problem::problem;
 
 use super::*;
-use crate::prepare::evaluate_designs;
 
 /// A body of 6 × 6 units, random or not, with two panels, sensors on `units` with 3 % noise, seed 11.
 fn trial(design: &str, units: &[usize]) -> TrialSpec {
@@ -57,7 +58,9 @@ fn bodies_that_can_tell_more_are_read_better() {
             let trial = trial(&design, units);
             let problem = problem(&trial).unwrap();
             let found = super::bound(&trial, &problem.initial, 2, None, 2).unwrap();
-            let of = evaluate_designs(&trial, &[problem.initial], 2).unwrap();
+            let pool = pool(2).unwrap();
+            let prepared = PreparedTrial::new(&placed(&problem, &pool).unwrap().0, &pool).unwrap();
+            let of = evaluate_designs(&prepared, &[problem.initial], &mut NoObserver);
             let error = of[0].networks[0].error_holdout.unwrap();
             println!(
                 "body {body}, units {units:?}: bound {:.3} % ({} directions), linear brain {error:.3} %, without signals {:.1} %",

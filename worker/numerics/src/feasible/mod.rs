@@ -107,18 +107,12 @@ impl FeasibleSet {
         }
     }
 
-    /// As [`Feasible::new`], with shifts tied in blocks of `tie` cells, and units `frozen` or `kept`. Targets and previous
-    /// designs must have the same initial design and [`Freedom`]; results then have it too, up to rounding.
-    pub fn moving(
-        layout: &Layout,
-        limits: Limits,
-        tie: [usize; 2],
-        frozen: &[usize],
-        kept: &[usize],
-    ) -> Self {
-        let freedom = Freedom::of(layout, tie, frozen, kept);
+    /// As [`FeasibleSet::new`], with shifts tied in blocks of `tie` cells. Targets and previous designs must have the same initial
+    /// design and [`Freedom`]; results then have it too, up to rounding.
+    pub fn moving(layout: &Layout, limits: Limits, tie: [usize; 2], frozen: &[usize]) -> Self {
+        let freedom = Freedom::new(layout, tie, frozen);
         let leader = freedom.is_tied().then(|| freedom.leaders().to_vec());
-        Self { leader, ..Self::new(layout, limits, &[frozen, kept].concat()) }
+        Self { leader, ..Self::new(layout, limits, frozen) }
     }
 
     /// Every constraint that `design` violates, sorted by unit; empty if feasible. Independent of the projection.

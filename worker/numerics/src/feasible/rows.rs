@@ -6,7 +6,7 @@
 //! normal of least overlap.
 
 use super::Limits;
-use crate::body::{End, Layout, edges};
+use crate::body::{End, Layout, difference as sub, dot as inner, edges};
 use std::f64::consts::{PI, TAU};
 
 type Point = [f64; 2];
@@ -133,14 +133,8 @@ pub(super) struct Near {
 /// Least length of an edge that has a direction (mm).
 const POINTLIKE: f64 = 1e-9;
 
-fn sub(a: Point, b: Point) -> Point {
-    [a[0] - b[0], a[1] - b[1]]
-}
 fn scale(s: f64, a: Point) -> Point {
     [s * a[0], s * a[1]]
-}
-fn inner(a: Point, b: Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1]
 }
 fn norm(a: Point) -> f64 {
     inner(a, a).sqrt()

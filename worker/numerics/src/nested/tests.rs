@@ -290,19 +290,7 @@ fn long_trainings_stand_beside_the_ordinary_ones() {
     assert!(keeper.fractions.is_sorted() && keeper.fractions.last() == Some(&1.0), "{:?}", keeper.fractions);
 }
 
-/// In every step, kept units have the nodes of the initial design; others move.
-#[test]
-fn kept_units_keep_their_shape() {
-    let problem = Problem { kept: vec![9, 10], ..small(TrainingProtocol::Paper(Terms::Direct)) };
-    let mut keeper = Keeper::default();
-    optimise(&problem, None, &pool(1), &mut keeper).unwrap().unwrap();
-    let layout = &problem.scene.layout;
-    let (before, after) = (layout.vertices(&problem.initial), layout.vertices(&keeper.states[3].design));
-    assert!(before[9] == after[9] && before[10] == after[10], "{:?} {:?}", before[9], after[9]);
-    assert_ne!(before[5], after[5]);
-}
-
-/// Every design of a tied loop is α₀ + P z and feasible, for any protocol and rate. Frozen and kept units stay, others move.
+/// Every design of a tied loop is α₀ + P z and feasible, for any protocol and rate. Frozen units stay, others move.
 #[test]
 fn tied_shifts_stay_tied_and_castable() {
     let squares = PROTOCOLS.map(|protocol| (format!("{protocol:?}"), small(protocol)));
@@ -310,7 +298,7 @@ fn tied_shifts_stay_tied_and_castable() {
     for (what, problem) in squares.into_iter().chain(others) {
         let (protocol, last) = (problem.optimise.protocol, problem.scene.panels[0].unit);
         let other = (0..last).rev().find(|unit| !problem.scene.clamped.contains(unit)).expect("a unit");
-        let mut problem = Problem { tie: [2, 1], frozen: vec![other], kept: vec![last], ..problem };
+        let mut problem = Problem { tie: [2, 1], frozen: vec![other, last], ..problem };
         let search = protocol.is_search();
         (problem.optimise.rate, problem.optimise.iterations) = (if search { 5.0 } else { 2.0 }, 6);
         (problem.evaluation.seeds, problem.brain.iterations) = (1, 3);

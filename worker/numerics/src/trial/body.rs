@@ -139,7 +139,7 @@ impl BodyModel for ScenePolygons {
     }
 
     fn freedom(&self, problem: &Problem) -> Freedom {
-        Freedom::of(&problem.scene.layout, problem.tie, &problem.frozen, &problem.kept)
+        Freedom::new(&problem.scene.layout, problem.tie, &problem.frozen)
     }
 
     fn castable(&self, problem: &Problem) -> Box<dyn Castable> {

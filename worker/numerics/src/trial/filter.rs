@@ -15,6 +15,9 @@ const CLOCK: usize = 8;
 /// Least ratio of the clock rate to the bandwidth: linear interpolation then lowers the gain by 0.3 %.
 const BESIDE_BANDWIDTH: f64 = 32.0;
 
+/// Angle ω h below which the low-pass is computed by series.
+const SMALL_ANGLE: f64 = 1e-3;
+
 /// A low-pass and a delay.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Filter {
@@ -75,6 +78,17 @@ impl ChipErrors {
     }
 }
 
+/// The same integrals by their series Σ Aᵏ b hᵏ⁺¹/(k + `first`)!, which does not cancel for small angles.
+fn integral(angle: f64, first: f64) -> [f64; 2] {
+    let (mut term, mut sum) = ([0.0, angle / first], [0.0; 2]);
+    for k in 1..6 {
+        sum = [sum[0] + term[0], sum[1] + term[1]];
+        let next = angle / (first + f64::from(k));
+        term = [next * term[1], -next * (term[0] + 2f64.sqrt() * term[1])];
+    }
+    sum
+}
+
 impl LowPass {
     /// `angle`: ω h, with h the interval between instants.
     fn new(angle: f64) -> Self {
@@ -88,8 +102,12 @@ impl LowPass {
         let e = [[e(0, 0), e(0, 1)], [e(1, 0), e(1, 1)]];
         // ∫ e^{A s} b ds = A⁻¹(E − 1) b and ∫ e^{A(h − s)} b s/h ds = A⁻¹(A⁻¹(E − 1) b − h b)/h, with b = (0, 1)
         let solved = |x: [f64; 2]| [-2f64.sqrt() * x[0] - x[1], x[0]];
-        let whole = solved([e[0][1], e[1][1] - 1.0]);
-        let late = solved([whole[0], whole[1] - angle]).map(|x| x / angle);
+        let [whole, late] = if angle < SMALL_ANGLE {
+            [1.0, 2.0].map(|first| integral(angle, first))
+        } else {
+            let whole = solved([e[0][1], e[1][1] - 1.0]);
+            [whole, solved([whole[0], whole[1] - angle]).map(|x| x / angle)]
+        };
         Self { e, g: [[whole[0] - late[0], whole[1] - late[1]], late] }
     }
 

@@ -36,8 +36,6 @@ pub struct Problem {
     /// Limits of a castable design.
     pub limits: Limits,
     /// Units whose nodes keep their initial positions.
-    pub kept: Vec<usize>,
-    /// As `kept`, and excluded from the norm of a gradient.
     pub frozen: Vec<usize>,
     /// Cells along x and y of a block whose nodes share their shifts; `[1, 1]`: none.
     pub tie: [usize; 2],
@@ -109,7 +107,7 @@ impl ForceSets {
 impl Problem {
     /// The feasible designs of polygons.
     pub fn castable(&self) -> FeasibleSet {
-        FeasibleSet::moving(&self.scene.layout, self.limits, self.tie, &self.frozen, &self.kept)
+        FeasibleSet::moving(&self.scene.layout, self.limits, self.tie, &self.frozen)
     }
 
     /// Shape of the network.

@@ -39,7 +39,6 @@ pub(crate) fn small(protocol: TrainingProtocol) -> Problem {
         search: None,
         solver: IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3)),
         limits: Limits::default(),
-        kept: vec![],
         frozen: vec![],
         tie: [1, 1],
         stimuli: ForceSets {

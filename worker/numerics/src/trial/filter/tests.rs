@@ -81,3 +81,17 @@ fn the_filter_and_its_pull_back_are_transposes() {
         assert_eq!((read.len(), back.len()), (c.len(), a.len()));
     }
 }
+
+/// ∫ = h²/2 (1 − √2 h/3 + …) and h²/6 (1 − √2 h/4 + …) for small h = ωΔ, also where the closed form would cancel.
+#[test]
+fn a_slow_low_pass_integrates_twice() {
+    for angle in [1e-9, 1e-6, 9.99e-4, 1.001e-3] {
+        let LowPass { g: [early, late], .. } = LowPass::new(angle);
+        let found = [early[0] + late[0], late[0]].map(|part| part / (angle * angle));
+        let slope = 2f64.sqrt() * angle;
+        let expected = [0.5 * (1.0 - slope / 3.0), (1.0 - slope / 4.0) / 6.0];
+        for (found, expected) in found.into_iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{angle}: {found} {expected}");
+        }
+    }
+}
