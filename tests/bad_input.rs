@@ -774,7 +774,6 @@ const TABLES: &[(&str, &str)] = &[
     ),
     ("[time]\nsamples = 0", "s.toml:14: time.samples = 0: "),
     ("[time]\nduration = 1e6", "s.toml:14: time.duration = 1000000: must be at most 86400 s"),
-    ("[time]\nduration = 86400.0", "s.toml:9: stimuli: no training sample has a force; check stimuli.onset"),
     ("[time]\nduration = -1.0", "s.toml:14: time.duration = -1: "),
     ("[solver]\ntolerance = 0.0", "s.toml:14: solver.tolerance = 0: "),
     ("[solver]\ntolerance = 1e-13", "s.toml:14: solver.tolerance = 0.0000000000001: "),
@@ -804,7 +803,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[feasible]\nlimits = false\nmin_edge = 2.0",
-        "s.toml:15: feasible.min_edge = 2.0: has no effect: no trial has feasible.limits = true",
+        "s.toml:13: feasible: other limits have no effect: no trial has limits = true",
     ),
     ("[feasible]\nclearance = -1.0", "s.toml:14: feasible.clearance = -1: "),
     ("[sensors]\nplacements = [[14], [14, 14]]", "s.toml:14: sensors.placements = 14: "),

@@ -53,7 +53,7 @@ fn shards_merged_are_the_sweep() {
     // The trials of the missing shard now exist twice, with the same bits.
     let said = bench.metasense(&["cluster", "merge", "merged.sqlite", "s2.sqlite", "--out", "merged.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
-    assert!(said.contains("4 trials from 2 databases"), "{said}");
+    assert!(said.contains("4 trials from 1 database"), "{said}");
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     let again = bench.metasense(&["run", "tiny.toml", "--db", "merged.sqlite"]);
     assert!(String::from_utf8_lossy(&again.stderr).contains("nothing left to do"));

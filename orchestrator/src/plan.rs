@@ -12,7 +12,6 @@ mod goal;
 #[cfg(test)]
 mod tests;
 mod until;
-mod warnings;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -49,8 +48,6 @@ pub struct Plan {
     /// Repeated trials of points, and keys of the file that overrides have made irrelevant, with the reason; `source` does not
     /// contain these keys.
     pub left_out: Vec<String>,
-    /// What a user may not intend.
-    pub warnings: Vec<String>,
 }
 
 impl Plan {
@@ -62,10 +59,8 @@ impl Plan {
     /// Expands a spec.
     pub fn of(source: Source) -> Result<Self, SpecError> {
         let Combinations { source, spec, combinations, mut left_out } = Combinations::of(source)?;
-        let (mut points, mut warnings) = (Vec::new(), Vec::new());
-        let added = combinations
-            .iter()
-            .try_for_each(|one| add_points(&spec, &source, one, &mut points, &mut warnings));
+        let mut points = Vec::new();
+        let added = combinations.iter().try_for_each(|one| add_points(&spec, &source, one, &mut points));
         external::end(); // workers start processes of their own
         added?;
         let (trials, repeated) = trials(&spec, &points);
@@ -76,14 +71,13 @@ impl Plan {
             return Err(source.error("sweep.exclude", "excludes all trials"));
         }
         until::check(spec.until.as_ref(), &trials, &source)?;
-        warnings.extend(warnings::warnings(&spec, &combinations, &trials));
-        Ok(Self { source, spec, trials, left_out, warnings })
+        Ok(Self { source, spec, trials, left_out })
     }
 
     /// A plan with trials that were expanded earlier.
     pub fn listed(source: Source, trials: Vec<PlannedTrial>) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
-        Ok(Self { source, spec, trials, left_out: Vec::new(), warnings: Vec::new() })
+        Ok(Self { source, spec, trials, left_out: Vec::new() })
     }
 
     /// The only trial whose hash starts with `hash`.
@@ -121,7 +115,6 @@ fn add_points(
     source: &Source,
     combination: &Combination,
     points: &mut Vec<PointPlan>,
-    warnings: &mut Vec<String>,
 ) -> Result<(), SpecError> {
     let located = located(source);
     problem::external::refuse_unread(&combination.spec).map_err(located)?;
@@ -147,15 +140,17 @@ fn add_points(
     )])?;
     let placement_count =
         sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
-    let order = |p: usize| match &spec.body.description {
-        Some(body) => external::placement(body.sensors.len(), p as u64),
-        None => placement(&spec.body, &layout, p as u64, &clamped),
-    };
-    let carriers = order(0).len();
-    // keep only the units that carry sensors: there may be many placements
+    // keep only the units that carry sensors: there may be a million placements
     let max_sensors = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
-    let seeded: Vec<Vec<usize>> =
-        (0..placement_count).map(|p| order(p).iter().copied().take(max_sensors).collect()).collect();
+    let order = |p: usize| {
+        let mut order = match &spec.body.description {
+            Some(body) => external::placement(body.sensors.len(), p as u64),
+            None => placement(&spec.body, &layout, p as u64, &clamped),
+        };
+        order.truncate(max_sensors);
+        order
+    };
+    let seeded: Vec<Vec<usize>> = (0..placement_count).map(order).collect();
     for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {
@@ -184,17 +179,15 @@ fn add_points(
                     format!("the body has {} free units inside its boundary to carry sensors", short.len());
                 return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
             }
-            let repeated = if chosen { None } else { warnings::repeated(&placements, carriers) };
-            warnings.extend(repeated.filter(|warning| !warnings.contains(warning)));
             let template = template(spec, scale, panels, &panel_units, sensors);
             // Random placements are valid by construction, and searched ones are empty, so checking the last suffices; lists by
             // users are all checked.
             let to_check = if spec.sensors.placements.is_some() { 0 } else { placements.len() - 1 };
             for (placement, units) in placements.iter().enumerate().skip(to_check) {
                 let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
-                let problem = problem::problem(&trial).map_err(located)?;
-                records::check_records(&trial, &problem).map_err(located)?;
-                problem::check_forces(problem, &sweep.sweep.seeds).map_err(located)?;
+                problem::problem(&trial)
+                    .and_then(|problem| records::check_records(&trial, &problem))
+                    .map_err(located)?;
             }
             let (cost, weight) = cost::of(&template, layout.units());
             let training = SharedTraining::of(&template);

@@ -311,9 +311,7 @@ pub fn send(sender: &MessageSender, message: &[u8]) -> Result<bool, LinkError> {
 }
 
 /// Receives the arrays of a result, which were sent before it. Waits while the orchestrator holds the maximum number.
-///
-/// # Errors
-/// If no arrays were sent, `heads` do not fit them, or no held sample is released within `patience`.
+/// Fails if no arrays were sent, `heads` do not fit them, or no held sample is released within `patience`.
 pub fn receive_arrays(
     receiver: &MessageReceiver,
     heads: &[ArrayHead],

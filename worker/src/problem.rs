@@ -149,16 +149,13 @@ pub fn estimable(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
 }
 
 /// Why a trial without forces is refused.
-pub(crate) const NO_FORCE: &str = "no training sample has a force; check stimuli.onset, stimuli.width and stimuli.amplitude against \
+pub const NO_FORCE: &str = "no training sample has a force; check stimuli.onset, stimuli.width and stimuli.amplitude against \
                                    time.duration and time.samples, or the clock and the scale of the records";
 /// Greatest number of forces that the plan draws to find one that is not 0.
 const DRAWN_MAX: usize = 10_000_000;
 
-/// Checks that a training sample of some seed has a force, unless this takes long.
-///
-/// # Errors
-/// If no sample has a force.
-pub fn check_forces(mut problem: Problem, seeds: &[u64]) -> Result<(), Invalid> {
+/// Whether a training sample of some seed has a force; true if this takes long to find out.
+pub fn has_force(mut problem: Problem, seeds: &[u64]) -> bool {
     let mut left = DRAWN_MAX;
     for &seed in seeds {
         problem.seed = seed;
@@ -166,11 +163,11 @@ pub fn check_forces(mut problem: Problem, seeds: &[u64]) -> Result<(), Invalid> 
             let forces = problem.forces(Purpose::Stimulus, i as u64, 1);
             match left.checked_sub(forces.values.len()) {
                 Some(rest) if with_force(&forces) == 0 => left = rest,
-                _ => return Ok(()),
+                _ => return true,
             }
         }
     }
-    Err(invalid("stimuli", "", NO_FORCE))
+    false
 }
 
 /// Names of the tasks whose labels vary among the training samples of a trial.

@@ -337,7 +337,7 @@ fn random_bodies(stated: f64, trials: &[&Trial], than: BodyState) -> Vec<Evidenc
 
 /// The ratio over M with the lowest interval: if it is above 1, all are.
 fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    by_set(&curves(trials), |group, set| {
+    by_set(&curves(trials, CURVE), |group, set| {
         let at = |m: f64| -> Option<(f64, Ratio)> {
             let of: Vec<&Trial> = group.trials.iter().filter(|t| t.sensors as f64 == m).copied().collect();
             Some((m, error_ratio(&of, set)?))
@@ -352,19 +352,26 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     })
 }
 
+/// Numbers of sensors of a whole curve, as an elbow needs.
+const CURVE: usize = 4;
+
 /// Returns the groups in which M varies.
 fn over_sensors<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups(trials, SENSORS).into_iter().filter(|group| group.varies(|t| t.sensors)).collect()
 }
 
-/// The same, restricted to clusters with a common set of M, and to this set. The set that keeps the most trials is used.
-fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+/// The same, restricted to clusters with a common set of M, and to this set: of those with at least `points` M, if there are any,
+/// the one that keeps the most trials.
+fn curves<'a>(trials: &[&'a Trial], points: usize) -> Vec<Group<'a>> {
     let mut groups = over_sensors(trials);
     for group in &mut groups {
         let mut numbers: BTreeMap<Cluster, BTreeSet<u64>> = BTreeMap::new();
         group.trials.iter().for_each(|t| _ = numbers.entry(t.cluster).or_default().insert(t.sensors));
         let with = |grid: &BTreeSet<u64>| numbers.values().filter(|own| own.is_superset(grid)).count();
-        let Some(grid) = numbers.values().max_by_key(|own| own.len() * with(own)) else { continue };
+        let Some(grid) = numbers.values().max_by_key(|own| (own.len() >= points, own.len() * with(own)))
+        else {
+            continue;
+        };
         group.trials.retain(|t| grid.contains(&t.sensors) && numbers[&t.cluster].is_superset(grid));
     }
     groups.retain(|group| group.varies(|t| t.sensors));
@@ -382,7 +389,7 @@ fn by_height(
 }
 
 fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    by_height(&curves(trials), |group, set, height, who| {
+    by_height(&curves(trials, CURVE), |group, set, height, who| {
         let points = observations(&group.trials, BodyState::Optimised, set, |t| t.sensors);
         let elbow = elbow(&points, height).ok()?;
         let votes: Vec<String> =
@@ -403,7 +410,7 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 
 /// Error of the initial body with the most sensors divided by that of the trained body with `few`.
 fn few_sensors_ratio(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
-    by_set(&curves(trials), |group, set| {
+    by_set(&curves(trials, 2), |group, set| {
         let most = group.trials.iter().map(|t| t.sensors).max()?;
         let of = |sensors: u64, body: BodyState| -> Vec<(Cluster, f64)> {
             let own: Vec<&Trial> = group.trials.iter().filter(|t| t.sensors == sensors).copied().collect();

@@ -12,6 +12,7 @@ use serde_json::Value;
 use super::named::Spec;
 use super::point::values_at;
 use super::simd::Simd;
+use super::warnings::warn_of;
 use super::{Error, Format, print_rows};
 use crate::cell::{brief, plain};
 use crate::cluster::{Assignment, Shard};
@@ -56,7 +57,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
     say!("{most}{trials}, about {time} on one core with {}", name());
-    plan.warnings.iter().for_each(|why| say!("warning: {why}"));
+    warn_of(&plan);
     say_bodies(&plan.trials);
     Ok(Exit::Done)
 }

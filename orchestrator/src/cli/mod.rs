@@ -49,6 +49,7 @@ mod tasks;
 mod trial;
 mod unfinished;
 mod verify;
+mod warnings;
 mod watch;
 
 use std::ffi::{OsStr, OsString};

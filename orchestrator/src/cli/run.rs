@@ -15,6 +15,7 @@ use super::named::{Spec, planned};
 use super::pages::Pages;
 use super::results::{Results, print_results};
 use super::simd::Simd;
+use super::warnings::warn_of;
 use super::{Error, Format, end_with, log, merge};
 use crate::analysis::until::TrialErrors;
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
@@ -246,7 +247,7 @@ pub(super) async fn run(
     signals: &mut Signals,
     drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<RunOutcome>, Error>,
 ) -> Result<(RunOutcome, Plan), Error> {
-    plan.warnings.iter().for_each(|why| say!("warning: {why}"));
+    warn_of(&plan);
     plan.check_memory()?;
     if let Some(limit) = plan.spec.run.lock_wait {
         wait_for_locks(Duration::from_secs_f64(limit));

@@ -12,6 +12,7 @@ use std::process::{Command, Stdio};
 use metasense_lab::cost;
 
 use super::named::Spec;
+use super::warnings::warn_of;
 use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
 use crate::cluster::places::{self, HostSlot, LaunchConfig, ShardsOutcome};
@@ -93,7 +94,7 @@ const SHARDS_OF_ROUNDS: u32 = 4;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut plan = args.spec.plan()?;
-    plan.warnings.iter().for_each(|why| say!("warning: {why}"));
+    warn_of(&plan);
     args.check()?;
     let places = args.places()?;
     let folder = args.folder(&plan);

@@ -8,8 +8,8 @@ use serde_json::{Map, Value};
 /// The spec at one value per axis.
 pub(crate) struct Combination {
     pub spec: SweepSpec,
-    /// Number of each entry of `exclude` that matches the axes, and the entry without the keys of the axes.
-    excludes: Vec<(usize, Map<String, Value>)>,
+    /// Entries of `exclude` that match the axes, without the keys of the axes.
+    excludes: Vec<Map<String, Value>>,
 }
 
 /// Placement and seed that an entry of `exclude` removes; `None`: all.
@@ -18,36 +18,14 @@ pub(super) type Exclusion = [Option<u64>; 2];
 impl Combination {
     /// The entries of `exclude` that match K and M.
     pub(super) fn exclusions(&self, panels: usize, sensors: usize) -> Vec<Exclusion> {
-        let agrees = |(_, entry): &&(usize, Map<String, Value>)| {
+        let number = |entry: &Map<String, Value>, key| entry.get(key).and_then(Value::as_u64);
+        let agrees = |entry: &&Map<String, Value>| {
             number(entry, "panels").is_none_or(|n| n == panels as u64)
                 && number(entry, "sensors").is_none_or(|n| n == sensors as u64)
         };
         let entries = self.excludes.iter().filter(agrees);
-        entries.map(|(_, entry)| ["placement", "seed"].map(|key| number(entry, key))).collect()
+        entries.map(|entry| ["placement", "seed"].map(|key| number(entry, key))).collect()
     }
-
-    /// Numbers of the entries of `exclude` that match K, M, placement and seed of a trial.
-    pub(super) fn used_exclusions(&self) -> impl Iterator<Item = usize> {
-        let sweep = &self.spec.sweep;
-        let placements = match &self.spec.sensors.placements {
-            Some(lists) => lists.len(),
-            None if sweep.own_placements => sweep.placements * sweep.seeds.len(),
-            None => sweep.placements,
-        };
-        let is_used = move |(_, entry): &&(usize, Map<String, Value>)| {
-            let in_list =
-                |key, list: &[usize]| number(entry, key).is_none_or(|n| list.contains(&(n as usize)));
-            in_list("panels", &sweep.panels)
-                && in_list("sensors", &sweep.sensors)
-                && number(entry, "placement").is_none_or(|n| n < placements as u64)
-                && number(entry, "seed").is_none_or(|n| sweep.seeds.contains(&n))
-        };
-        self.excludes.iter().filter(is_used).map(|(number, _)| *number)
-    }
-}
-
-fn number(entry: &Map<String, Value>, key: &str) -> Option<u64> {
-    entry.get(key).and_then(Value::as_u64)
 }
 
 /// All combinations of points and axis values. The last axis by name varies fastest, points slowest.
@@ -56,8 +34,7 @@ pub(crate) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
     check_excludes(spec, source)?;
     let axes = &spec.sweep.axes;
     if axes.is_empty() && spec.sweep.points.is_empty() {
-        let excludes = spec.sweep.exclude.iter().cloned().enumerate().collect();
-        return Ok(vec![Combination { spec: spec.clone(), excludes }]);
+        return Ok(vec![Combination { spec: spec.clone(), excludes: spec.sweep.exclude.clone() }]);
     }
     let none = [Map::new()];
     let points = if spec.sweep.points.is_empty() { &none[..] } else { &spec.sweep.points };
@@ -99,8 +76,7 @@ pub(crate) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
             rest /= values.len();
         }
         chosen.iter().for_each(|(key, value)| set(&mut point, key, value));
-        let entries = spec.sweep.exclude.iter().enumerate();
-        let excludes = entries.filter_map(|(n, entry)| Some((n, without_axes(entry, &chosen)?))).collect();
+        let excludes = spec.sweep.exclude.iter().filter_map(|entry| without_axes(entry, &chosen)).collect();
         let spec = serde_json::from_value(point).map_err(|e| source.error("sweep", &e.to_string()))?;
         combinations.push(Combination { spec, excludes });
     }
@@ -141,7 +117,8 @@ fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
 
 /// Rejects a swept key that is part of another one: the value of one of them would be lost.
 fn refuse_overlaps(spec: &SweepSpec, point: &Map<String, Value>, source: &Source) -> Result<(), SpecError> {
-    let keys = || spec.sweep.axes.keys().chain(point.keys());
+    // `sensors` and `panels` are numbers, not the tables of these names
+    let keys = || spec.sweep.axes.keys().chain(point.keys()).filter(|key| key.contains('.'));
     for outer in keys() {
         let is_part = |key: &&String| key.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
         if let Some(inner) = keys().find(is_part) {

@@ -114,9 +114,6 @@ const NO_OBJECTIVE: &str = "has no effect: no trial has an optimise.objective ov
 const NO_VARIATION: &str = "has no effect: no trial has a [variation]";
 const NO_CALIBRATION: &str = "has no effect: no trial has a [variation] and a decoder other than inverse";
 
-/// A limit of feasible designs.
-type Limit = fn(&Feasible) -> f64;
-
 /// Whether a spec sets a key.
 type KeyPredicate<'a> = &'a dyn Fn(&SweepSpec) -> bool;
 
@@ -181,19 +178,10 @@ pub(super) fn refuse_unread<'a>(
     if let Some((key, _, _, remedy)) = keys.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
         return Err(source.error(key, remedy));
     }
-    let limits: [(&str, Limit); 7] = [
-        ("feasible.min_block_angle", |limits| limits.min_block_angle),
-        ("feasible.max_block_angle", |limits| limits.max_block_angle),
-        ("feasible.min_void_angle", |limits| limits.min_void_angle),
-        ("feasible.min_ligament_angle", |limits| limits.min_ligament_angle),
-        ("feasible.min_edge", |limits| limits.min_edge),
-        ("feasible.clearance", |limits| limits.clearance),
-        ("feasible.ligament_clearance", |limits| limits.ligament_clearance),
-    ];
-    let limited = any_spec(&|spec| spec.feasible.limits);
-    let is_set = |of: Limit| any_spec(&|spec| of(&spec.feasible) != of(&Feasible::default()));
-    match limits.iter().find(|(_, of)| !limited && is_set(*of)) {
-        Some((key, _)) => Err(source.error(key, "has no effect: no trial has feasible.limits = true")),
-        None => Ok(()),
+    let unlimited = Feasible { limits: false, ..Feasible::default() };
+    let unread = |spec: &SweepSpec| !spec.feasible.limits && spec.feasible != unlimited;
+    match any_spec(&unread) && !any_spec(&|spec| spec.feasible.limits) {
+        true => Err(source.error("feasible", "other limits have no effect: no trial has limits = true")),
+        false => Ok(()),
     }
 }

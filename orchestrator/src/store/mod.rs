@@ -138,9 +138,7 @@ impl Store {
     }
 
     /// Moves the write-ahead log into the database and closes it, so that a single file remains.
-    ///
-    /// # Errors
-    /// `Lost` if the files have disappeared, with the path of the saved data.
+    /// Fails with `Lost` if the files have disappeared, with the path of the saved data.
     pub async fn close(self) -> Result<()> {
         let Self { connection, path, presence, .. } = self;
         if let Some(lost) = presence.check() {

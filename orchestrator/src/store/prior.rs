@@ -52,9 +52,7 @@ impl Store {
 
     /// The checkpoint from which an attempt resumes: its own, or that of a trial that has trained the same body further, whose
     /// steps it takes over; at most `pause` steps. `None`: it starts from the beginning.
-    ///
-    /// # Errors
-    /// If SQLite fails; or its own checkpoint is damaged or of another version, and no other trial has a usable one.
+    /// Fails if its own checkpoint is damaged or of another version, and no other trial has a usable one.
     pub async fn resume_checkpoint(
         &mut self,
         hash: &str,

@@ -11,9 +11,7 @@ use crate::analysis::until::TrialErrors;
 impl Store {
     /// Records a sweep and its new trials. If nothing is new, changes nothing, except that it updates changed paths of recorded
     /// forces and replaces damaged specs.
-    ///
-    /// # Errors
-    /// `FactsAlone` if the database contains only facts, from which trials cannot resume.
+    /// Fails with `FactsAlone` if the database contains only facts, from which trials cannot resume.
     pub async fn begin_sweep(&mut self, spec: &SweepSpec, text: &str, trials: &[PlannedTrial]) -> Result<()> {
         let at = self.at("recording the sweep in");
         let facts = "SELECT EXISTS (SELECT 1 FROM elsewhere)";

@@ -74,9 +74,7 @@ impl Source {
     }
 
     /// Finds the keys of a spec's text, of its bases, and of overrides, each `KEY=VALUE`, or `KEY=` to remove a key.
-    ///
-    /// # Errors
-    /// If a layer is not valid TOML or cannot be read, bases form a cycle, or an override has no effect or is set twice.
+    /// Fails if a layer is not valid TOML or cannot be read, bases form a cycle, or an override has no effect or is set twice.
     pub fn spec(file: impl AsRef<Path>, text: String, changes: &[String]) -> Result<Self, SpecError> {
         let own = Self::new(&file, text)?;
         let layers = Layer::all(&own, changes)?;
@@ -155,9 +153,7 @@ impl Source {
     }
 
     /// Parses a spec, or another kind of file, and checks keys and types. The plan validates the values.
-    ///
-    /// # Errors
-    /// The first unknown key, missing key, or value of a wrong type.
+    /// The error is the first unknown key, missing key, or value of a wrong type.
     pub fn parse<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, SpecError> {
         let known = KnownKeys::of_type::<T>();
         for place in &self.places {

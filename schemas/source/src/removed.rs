@@ -2,54 +2,22 @@
 
 /// Key, removed value (`None`: the whole key), and message.
 const REMOVED: &[(&str, Option<&str>, &str)] = &[
-    (
-        "body.hinge",
-        None,
-        "removed: no result uses it; ligaments have a linear bending stiffness; delete this key",
-    ),
-    (
-        "body.panel_angle",
-        None,
-        "removed: give each force its direction: body.panels = [{ unit = 34, direction = [1, 0] }]",
-    ),
+    ("body.hinge", None, "removed: ligaments have a linear bending stiffness; delete this key"),
+    ("body.panel_angle", None, "removed: body.panels = [{ unit = 34, direction = [1, 0] }] turns a force"),
     ("feasible.keep_clamped", None, "removed: no spec used it; list the units in optimise.frozen"),
     ("feasible.keep_panels", None, "removed: no spec used it; list the units in optimise.frozen"),
     ("optimise.curvature", None, "removed: it improved no body; delete this key"),
     ("optimise.damping", None, "removed with optimise.curvature; delete this key"),
-    (
-        "optimise.gradient",
-        Some("implicit_only"),
-        "removed: this term alone is not a gradient; use \"implicit\"",
-    ),
-    (
-        "optimise.placement",
-        None,
-        "removed: no benefit; delete this key: sensors stay where sensors.search puts them",
-    ),
-    (
-        "optimise.protocol",
-        Some("cmaes"),
-        "removed: it does not improve bodies with many design parameters; use \"joint\", or \"random\" as a baseline",
-    ),
-    (
-        "optimise.protocol",
-        Some("envelope"),
-        "removed: \"joint\" has less error in half the time; use \"joint\"",
-    ),
+    ("optimise.gradient", Some("implicit_only"), "removed: no gradient by itself; use \"implicit\""),
+    ("optimise.placement", None, "removed: no benefit; sensors stay where sensors.search puts them"),
+    ("optimise.protocol", Some("cmaes"), "removed: no benefit; use \"joint\" (or \"random\" as a baseline)"),
+    ("optimise.protocol", Some("envelope"), "removed: \"joint\" has less error in half the time; use it"),
     ("optimise.protocol", Some("warm"), "removed: no benefit; use \"joint\""),
-    (
-        "run.prune",
-        None,
-        "removed: it kept only the better seeds, which biased all intervals; delete this key",
-    ),
+    ("run.prune", None, "removed: keeping the better seeds biased all intervals; delete this key"),
     ("sensors.search", Some("d_optimal"), "removed: no benefit; use \"greedy\""),
     ("sensors.search", Some("pivots"), "removed: no benefit; use \"greedy\""),
     ("solver.method", Some("implicit"), "removed: \"auto\" was cheaper in every scene; use \"auto\""),
-    (
-        "optimise.coarse.method",
-        Some("implicit"),
-        "removed: \"auto\" was cheaper in every scene; use \"auto\"",
-    ),
+    ("optimise.coarse.method", Some("implicit"), "removed: \"auto\" was always cheaper; use \"auto\""),
 ];
 
 /// Returns the message for a key, or for its value as written, if it was removed.

@@ -45,11 +45,11 @@ pub struct Goal {
     pub confidence: f64,
     /// New seeds of forces, networks and casts on which a trained body is screened. Twice as many other seeds confirm it.
     /// Default: 4.
-    #[serde(default = "fresh")]
+    #[serde(default = "super::number::<4>")]
     pub fresh: usize,
     /// Trials that run between two decisions. Further workers are idle; the number of workers does not change decisions. Default:
     /// 2.
-    #[serde(default = "at_a_time")]
+    #[serde(default = "super::number::<2>")]
     pub at_a_time: usize,
     /// CPU time of all trials; beyond it no further trial starts. Unit: h. Default: no limit.
     pub hours: Option<f64>,
@@ -97,12 +97,4 @@ pub struct Calibrated {
 
 fn confidence() -> f64 {
     0.9
-}
-
-fn fresh() -> usize {
-    4
-}
-
-fn at_a_time() -> usize {
-    2
 }

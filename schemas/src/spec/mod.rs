@@ -98,7 +98,7 @@ pub struct Sweep {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<usize>,
     /// Number of sensor placements.
-    #[serde(default = "one_placement")]
+    #[serde(default = "number::<1>")]
     pub placements: usize,
     /// Whether each seed has its own `placements`, numbered consecutively from seed to seed. An interval over seeds then also
     /// covers placements, with a fraction of the trials. Add seeds at the end and do not change `placements`; otherwise trials
@@ -135,8 +135,9 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
-fn one_placement() -> usize {
-    1
+/// A default of this value.
+fn number<const N: usize>() -> usize {
+    N
 }
 fn one_seed() -> Vec<u64> {
     vec![1]

@@ -68,17 +68,7 @@ impl Task {
 
     /// Its name in specs and the database.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Forces => "forces",
-            Self::Panel => "panel",
-            Self::Count => "count",
-            Self::Position => "position",
-            Self::Peak => "peak",
-            Self::Impulse => "impulse",
-            Self::Onset => "onset",
-            Self::Kind => "kind",
-            Self::All => "all",
-        }
+        ["forces", "panel", "count", "position", "peak", "impulse", "onset", "kind", "all"][self as usize]
     }
 }
 

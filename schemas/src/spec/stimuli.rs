@@ -25,13 +25,7 @@ pub enum StimuliKind {
 impl StimuliKind {
     /// Name in a spec.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Bell => "bell",
-            Self::Gauss => "gauss",
-            Self::Irregular => "irregular",
-            Self::Recorded => "recorded",
-            Self::Mix => "mix",
-        }
+        ["bell", "gauss", "irregular", "recorded", "mix"][self as usize]
     }
 }
 
@@ -104,18 +98,18 @@ pub struct Stimuli {
     /// Kind of forces.
     pub kind: StimuliKind,
     /// Samples of training and test set (N), at most 1 000 000.
-    #[serde(default = "stimuli_samples")]
+    #[serde(default = "super::number::<470>")]
     pub samples: usize,
     /// Number of the N samples that form the test set, which selects the trained body. With 30 samples, the selected body is more
     /// than 5 % worse than the best in a quarter of trials; with 200, in one of fifty.
-    #[serde(default = "stimuli_test")]
+    #[serde(default = "super::number::<200>")]
     pub test: usize,
     /// Whether the test set is drawn with replacement. It may then contain a sample twice; the training set contains all others.
     /// Default: false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub replacement: bool,
     /// Held-out samples, at most 1 000 000; they give the errors to quote.
-    #[serde(default = "stimuli_holdout")]
+    #[serde(default = "super::number::<300>")]
     pub holdout: usize,
     /// Amplitude of a pulse: an interval `[least, most]` of a uniform draw per sample and panel; negative forces act against the
     /// panel's direction. Unit: N. Default: `[0.15, 0.5]`;
@@ -199,16 +193,6 @@ impl Stimuli {
         }
         self
     }
-}
-
-fn stimuli_samples() -> usize {
-    470
-}
-fn stimuli_test() -> usize {
-    200
-}
-fn stimuli_holdout() -> usize {
-    300
 }
 
 /// A signal of a file: a column of a CSV or an array of an NPZ by name, a row or column by number, from 0.

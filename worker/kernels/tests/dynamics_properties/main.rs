@@ -671,3 +671,37 @@ fn gradients_hold_where_chips_are_mounted() {
         }
     }
 }
+
+/// Strong damping decays faster than the body vibrates: the steps resolve it.
+#[test]
+fn a_pilot_keeps_its_error_under_strong_damping() {
+    for damping_ratio in [2.0, 20.0] {
+        let scene = Scene { damping_ratio, ..small_scene() };
+        let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.4));
+        let auto = IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3));
+        let tuned = tune(&scene, &design, &forces, &auto, &pool(1));
+        assert!(tuned.error.is_some(), "{damping_ratio}: {}", tuned.plan.reason);
+        let tight = IntegratorSettings::tsit5(Tolerance::both(1e-10));
+        let truth = simulate(&scene, &design, &forces, &tight, false, &pool(1));
+        let run = run(&scene, &design, &forces, &tuned.plan, false, &pool(1));
+        let error = signal_error(&run.signals, &truth.signals, 3 * scene.sensors.len());
+        assert!(error <= 1.2e-3, "{damping_ratio}: {error:e}; {}", tuned.plan.reason);
+    }
+}
+
+/// Samples of a body with an inverted or vanished unit fail by name, at once.
+#[test]
+fn a_unit_without_mass_ends_all_samples() {
+    let base = small_scene();
+    let (design, forces) = (shaken(&base), pushes(&base, 2, 0.4));
+    let auto = IntegratorSettings::new(Integrator::Auto, Accuracy(1e-3));
+    for (mass, outcome) in [(0.1, Outcome::Ok), (1e-5, Outcome::NoMass), (-1.0, Outcome::NoMass)] {
+        let mut units = vec![1.0; base.layout.units()];
+        units[4] = mass;
+        let scene = Scene { parts: PartFactors { units, ..base.parts.clone() }, ..base.clone() };
+        let run = simulate(&scene, &design, &forces, &auto, false, &pool(1));
+        assert_eq!(run.outcomes, [outcome; 2], "{mass}");
+        let pilot = tune(&scene, &design, &forces, &auto, &pool(1));
+        assert_eq!(pilot.counters.steps == 0, outcome == Outcome::NoMass, "{mass}");
+    }
+}
