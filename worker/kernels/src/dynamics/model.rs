@@ -159,7 +159,8 @@ impl Model {
         let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
         let number = |panel: &Panel| panel.node.map(|node| layout.number(End { unit: panel.unit, node }));
         let mean = geometry.mass.iter().sum::<f64>() / layout.units() as f64;
-        let has_mass = geometry.mass.iter().all(|m| *m > VANISHED * mean);
+        // a design that is not finite has its own outcome
+        let has_mass = !geometry.mass.iter().any(|m| *m <= VANISHED * mean);
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
             let chip = AddedMass::mass_on_unit(scene, unit);
