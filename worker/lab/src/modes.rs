@@ -1,6 +1,6 @@
 //! Modes of a trial's body at rest, and responses of its units to its panels.
 
-use metasense_numerics::dynamics::{Rest, Scene, highest_frequency, start, touches};
+use metasense_numerics::dynamics::{Outcome, Rest, Scene, highest_frequency, start, touches};
 use metasense_numerics::place::placed;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
@@ -108,6 +108,9 @@ pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), NoResult> 
     }
     match start(scene, design) {
         Ok(_) => Ok(()),
+        Err(Outcome::NoMass) => {
+            Err(NoResult::Rejected("body.design: a unit is inverted or has nearly vanished".to_owned()))
+        }
         Err(outcome) => Err(NoResult::Rejected(format!(
             "body.compression: {}: the compressed body has no equilibrium for small motions",
             outcome.name()

@@ -160,7 +160,8 @@ impl Model {
         let number = |panel: &Panel| panel.node.map(|node| layout.number(End { unit: panel.unit, node }));
         let mean = geometry.mass.iter().sum::<f64>() / layout.units() as f64;
         // a design that is not finite has its own outcome
-        let has_mass = !geometry.mass.iter().any(|m| *m <= VANISHED * mean);
+        let has_mass =
+            !geometry.mass.iter().any(|m| *m <= VANISHED * mean) && !geometry.moment.iter().any(|j| *j < 0.0);
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
             let chip = AddedMass::mass_on_unit(scene, unit);
