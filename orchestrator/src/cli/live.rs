@@ -188,7 +188,7 @@ impl Watch for Live<'_> {
     }
 }
 
-/// Mean held-out error, with the median over samples and the number of samples above 100 %, if any.
+/// Mean held-out error, with the median over samples and the number of samples above 100 %, if any; or why it is unknown.
 fn percent(body: &BodyRecord) -> String {
     let percent = |value: f64| format!("{value:.2} %");
     let mean = |of: fn(&NetworkRecord) -> Option<f64>| network_mean(&body.networks, of).map(percent);
@@ -197,5 +197,25 @@ fn percent(body: &BodyRecord) -> String {
         above.map_or(String::new(), |above| format!(", {} above 100 %", counted(above as usize, "sample")));
     let median = mean(|network| network.spread?.median);
     let median = median.map_or(String::new(), |median| format!(" (median {median}{above})"));
-    mean(|network| network.error_holdout).unwrap_or("unknown".into()) + &median
+    let unknown = || match body.networks.first().map(|network| network.outcome.as_str()) {
+        None | Some("ok") => "unknown (no held-out sample has a force)".to_owned(),
+        Some(cause) => format!("unknown ({cause})"),
+    };
+    mean(|network| network.error_holdout).unwrap_or_else(unknown) + &median
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A done trial whose error is unknown says why.
+    #[test]
+    fn unknown_errors_have_a_cause() {
+        let of = |outcome: &str| {
+            let network = NetworkRecord { outcome: outcome.into(), ..NetworkRecord::default() };
+            percent(&BodyRecord { networks: vec![network], ..BodyRecord::default() })
+        };
+        assert_eq!(of("non_finite"), "unknown (non_finite)");
+        assert_eq!(of("ok"), "unknown (no held-out sample has a force)");
+    }
 }
