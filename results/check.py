@@ -54,9 +54,12 @@ def mean_and_half(values):
     return mean, T975[free] * math.sqrt(sum((x - mean) ** 2 for x in values) / free / len(values))
 
 
-def interval(values, shown):
-    mean, half = mean_and_half(values)
+def in_words(mean, half, shown):
     return "{} ({} … {})".format(*(short(shown(x)) for x in (mean, mean - half, mean + half)))
+
+
+def interval(values, shown):
+    return in_words(*mean_and_half(values), shown)
 
 
 def with_interval(ratios):
@@ -760,8 +763,8 @@ def authors():
             before, after = numbers(many, f"{errors}_initial"), numbers(few, f"{errors}_trained")
             of = [dict(row, ratio=a / b) for row, a, b in zip(few, before, after, strict=True)]
             ratio, half, _ = judged(of, ("placement", "seed"), of_rows(lambda row: row["ratio"])(of))
-            ends = " … ".join(short(math.exp(x)) for x in (ratio - half, ratio + half))
-            found.append(f"{short(geometric(before))} → {short(geometric(after))} %, {short(math.exp(ratio))} ({ends})")
+            gain = in_words(ratio, half, math.exp)
+            found.append(f"{short(geometric(before))} → {short(geometric(after))} %, {gain}")
         yield cells, found
 
 

@@ -288,8 +288,9 @@ fn options_that_nobody_has_are_refused_at_once() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     for (arguments, expected) in [
-        ("slurm s.toml --run=--no-such", "unexpected argument"),
-        ("slurm s.toml --run=--workers=3", "cannot be used multiple times"),
+        // without Slurm, too
+        ("slurm s.toml --dry-run --run=--no-such", "unexpected argument"),
+        ("slurm s.toml --dry-run --run=--workers=3", "cannot be used multiple times"),
         ("hq s.toml --at-most 3", "HyperQueue"),
         ("local s.toml --time 10", "without a limit"),
         ("ssh s.toml", "--hosts"),

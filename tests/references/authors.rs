@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use metasense::analysis::{Cluster, Interval, Resampling};
 
 use super::map::slopes_over;
-use super::rows::{Row, geometric, number, of, rows, short, with_interval};
+use super::rows::{Row, geometric, in_words, number, of, rows, short, with_interval};
 use super::table;
 
 /// One line per setting, in the order of the rows: geometric mean errors of the initial and the trained body, and their ratio with
@@ -87,8 +87,7 @@ fn with_units(rows: &[&Row], logs: &[f64]) -> String {
         weights.iter().zip(logs).map(|(w, x)| w * x).sum::<f64>() / weights.iter().sum::<f64>()
     };
     let Interval { low, high } = Resampling::new(&clusters).interval(|weights| Some(mean(weights))).unwrap();
-    let [at, low, high] = [mean(&vec![1.0; logs.len()]), low, high].map(|x| short(&x.exp().to_string()));
-    format!("{at} ({low} … {high})")
+    in_words([mean(&vec![1.0; logs.len()]), low, high], f64::exp)
 }
 
 /// Errors of a linear decoder on each design as designed, and on its casts (medians over casts): geometric means over seeds, and for

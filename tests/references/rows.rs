@@ -96,7 +96,12 @@ pub(super) fn interval(values: &[f64]) -> [f64; 3] {
 
 /// The same as text.
 pub(super) fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
-    let [at, low, high] = interval(values).map(|x| short(&shown(x).to_string()));
+    in_words(interval(values), shown)
+}
+
+/// A value and its limits as text.
+pub(super) fn in_words(values: [f64; 3], shown: fn(f64) -> f64) -> String {
+    let [at, low, high] = values.map(|x| short(&shown(x).to_string()));
     format!("{at} ({low} … {high})")
 }
 

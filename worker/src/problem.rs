@@ -9,7 +9,7 @@ use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::{RECORDS_MIN, SensingTask, Tasks, fits};
 use metasense_numerics::dynamics::{
     AccelerationFrame, Accuracy, EdgeContact, Forces, Integrator, IntegratorSettings, LigamentStiffness,
-    PartFactors, Scene,
+    PartFactors, Scene, unwrapped_void,
 };
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
@@ -19,7 +19,6 @@ use metasense_numerics::trial::{
     RateSchedule, RidgeChoice, ScenePolygons, Training,
 };
 use metasense_schemas::spec::{self, SweepPoint, TrialSpec};
-use std::f64::consts::{FRAC_PI_2, TAU};
 use std::sync::Arc;
 
 mod body;
@@ -257,10 +256,8 @@ fn parts(trial: &TrialSpec) -> Result<OfBody, Invalid> {
 /// Rejects a contact whose energy is infinite in the initial body.
 fn check_contact(body: &spec::Body, scene: &Scene, initial: &[f64]) -> Result<(), Invalid> {
     let Some(contact) = body.contact.filter(|_| scene.imposed.is_empty()) else { return Ok(()) };
-    // as in the simulation, angles below -90 degrees are those above 180 degrees
-    let angle = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
     let voids = scene.geometry(initial).void_angles(&scene.layout);
-    let least = voids.into_iter().flatten().map(angle).fold(f64::INFINITY, f64::min).to_degrees();
+    let least = voids.into_iter().flatten().map(unwrapped_void).fold(f64::INFINITY, f64::min).to_degrees();
     let remedy = format!("must be below {least:.3} degrees, the least void angle of the initial body");
     require(contact.min_angle < least, "body.contact.min_angle", contact.min_angle, &remedy)
 }

@@ -87,10 +87,7 @@ fn read(
     let pairs = |set| -> Vec<(Cluster, [f64; 2])> {
         errors(set).into_iter().filter_map(|(cluster, [a, b])| Some((cluster, [a?, b?]))).collect()
     };
-    let ratio = |set| {
-        let ratios: Vec<_> = pairs(set).iter().map(|(cluster, [a, b])| (*cluster, a / b)).collect();
-        Ratio::of(&ratios)
-    };
+    let ratio = |set| Ratio::of(pairs(set).into_iter().map(|(cluster, [a, b])| (cluster, a / b)));
     let note = disagreement(ratio).map(|(_, verdicts)| verdicts);
     let (pairs, ratio) = (pairs(Set::Holdout), ratio(Set::Holdout)?);
     let of = |body: usize| geometric_mean(&pairs.iter().map(|(_, pair)| pair[body]).collect::<Vec<_>>());

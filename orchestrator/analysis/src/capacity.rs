@@ -2,6 +2,7 @@
 
 use super::numbers::{in_order, mean};
 use super::paired::Ratio;
+use super::tables::ends;
 use super::trial::Cluster;
 use metasense_render::{Table, row};
 
@@ -36,20 +37,13 @@ pub fn table(all: &[CapacityResult]) -> Table {
         };
         let shown = |ratio: f64| if is_error { ratio } else { ratio.ln() };
         let change = |own: &&CapacityResult| (own.cluster, ratio(own.values));
-        let found = Ratio::of(&own.iter().map(change).collect::<Vec<_>>());
+        let found = Ratio::of(own.iter().map(change));
         let interval = found.as_ref().and_then(|ratio| ratio.interval).map(|interval| interval.map(shown));
-        row![
-            wanted.0,
-            wanted.1,
-            wanted.2,
-            own.len(),
-            mean(&own.iter().filter_map(|own| own.bound).collect::<Vec<_>>()),
-            mean(&own.iter().map(|own| own.values[0]).collect::<Vec<_>>()),
-            mean(&own.iter().map(|own| own.values[1]).collect::<Vec<_>>()),
-            found.map(|ratio| shown(ratio.ratio)),
-            interval.map(|i| i.low),
-            interval.map(|i| i.high)
-        ]
+        let bound = mean(&own.iter().filter_map(|own| own.bound).collect::<Vec<_>>());
+        let [initial, trained] =
+            [0, 1].map(|body| mean(&own.iter().map(|own| own.values[body]).collect::<Vec<_>>()));
+        let means = row![wanted.0, wanted.1, wanted.2, own.len(), bound, initial, trained];
+        [means, row![found.map(|ratio| shown(ratio.ratio)); ends(interval)]].concat()
     };
     Table::new(columns, in_order(all.iter().map(kind)).into_iter().map(line))
 }

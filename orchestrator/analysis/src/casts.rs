@@ -64,7 +64,7 @@ impl BodyTrials<'_> {
         let read: Vec<(&Trial, &ReadingOnCasts)> =
             self.trials.iter().filter_map(|t| Some((*t, reading(t, self.body, by)?))).collect();
         let mean = |of: &dyn Fn(&(&Trial, &ReadingOnCasts)) -> Option<f64>| {
-            Ratio::of(&read.iter().filter_map(|r| Some((r.0.cluster, of(r)?))).collect::<Vec<_>>())
+            Ratio::of(read.iter().filter_map(|r| Some((r.0.cluster, of(r)?))))
         };
         let errors = [0, 1].map(|quantile| mean(&|r| Some(r.1.errors[quantile])));
         let kept = [0, 1].map(|quantile| self.kept(by, Set::Holdout, |read| Some(read.errors[quantile])));

@@ -54,14 +54,7 @@ pub enum Rating {
 impl Rating {
     /// Name in tables.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Holds => "holds",
-            Self::Compatible => "compatible",
-            Self::InPart => "in part",
-            Self::Alike => "no difference",
-            Self::Fails => "fails",
-            Self::Open => "open",
-        }
+        ["holds", "compatible", "in part", "no difference", "fails", "open"][self as usize]
     }
 
     /// Rates a ratio by its interval. `stated`: the paper's number, or 1 if the paper only claims a direction.
@@ -301,7 +294,7 @@ fn paired_ratio(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<R
     };
     let clusters = distinct(first.iter().map(|(cluster, _)| *cluster));
     let ratio = |c: Cluster| Some((c, mean(first, c)? / mean(second, c)?));
-    Ratio::of(&clusters.into_iter().filter_map(ratio).collect::<Vec<_>>())
+    Ratio::of(clusters.into_iter().filter_map(ratio))
 }
 
 /// Returns cluster and number of each trial that has it.
@@ -470,42 +463,37 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let disc: Vec<&Trial> = trials.iter().filter(disc).copied().collect();
     let free: Vec<&Trial> = disc.iter().filter(|t| !tied(t)).copied().collect();
     let mut found = Vec::new();
-    for (variation_name, groups) in [
+    for (variation_name, mut groups) in [
         ("smaller units, one size of body", groups(&free, COMPLEXITY)),
         ("fewer tied shifts, one size of body", groups(&disc, FREEDOM)),
     ] {
-        for group in groups {
+        groups.retain(|group| group.varies(|t| t.design_parameters));
+        found.extend(by_set(&groups, |group, set| {
+            let numbers = || group.trials.iter().map(|t| t.design_parameters);
+            let (few, many) = (numbers().min()?, numbers().max()?);
             let at = |n: u64| -> Vec<&Trial> {
                 group.trials.iter().filter(|t| t.design_parameters == n).copied().collect()
             };
-            let numbers = || group.trials.iter().map(|t| t.design_parameters);
-            let (Some(few), Some(many)) = (numbers().min(), numbers().max()) else { continue };
-            if few == many {
-                continue;
-            }
-            for set in Set::with_errors(&group.trials) {
-                let errors = |n: u64, body: BodyState| each(&at(n), |t| t.error(body, set));
-                let ratio_of_errors = |body: BodyState| paired_ratio(&errors(few, body), &errors(many, body));
-                let Some(ratio) = ratio_of_errors(BodyState::Optimised) else { continue };
-                let initial = ratio_of_errors(BodyState::Initial)
-                    .map_or(String::new(), |r| format!("; initial body {:.3}", r.ratio));
-                let note = format!("{few} → {many} parameters{initial}");
-                let brain = &brains(&group.trials[0].setting)[0];
-                let of_size = |part: &str| {
-                    let path = part.split(" = ").next().unwrap_or(part);
-                    part.ends_with(" units")
-                        || part.ends_with(" units across")
-                        || COMPLEXITY.contains(&path)
-                        || WITH_SPACING.iter().any(|(with, _)| *with == path)
-                };
-                let own = |part: &&str| *part != brain && !of_size(part);
-                let mut name = vec![brain.as_str()];
-                let told = apart(&group.label);
-                name.extend(told.iter().copied().filter(own));
-                name.push(variation_name);
-                found.push(ratio_evidence(name.join(", "), set.name(), ratio, stated, note));
-            }
-        }
+            let errors = |n: u64, body: BodyState| each(&at(n), |t| t.error(body, set));
+            let ratio_of_errors = |body: BodyState| paired_ratio(&errors(few, body), &errors(many, body));
+            let ratio = ratio_of_errors(BodyState::Optimised)?;
+            let initial = ratio_of_errors(BodyState::Initial)
+                .map_or(String::new(), |r| format!("; initial body {:.3}", r.ratio));
+            let note = format!("{few} → {many} parameters{initial}");
+            let brain = &brains(&group.trials[0].setting)[0];
+            let of_size = |part: &str| {
+                let path = part.split(" = ").next().unwrap_or(part);
+                part.ends_with(" units")
+                    || part.ends_with(" units across")
+                    || COMPLEXITY.contains(&path)
+                    || WITH_SPACING.iter().any(|(with, _)| *with == path)
+            };
+            let own = |part: &&str| *part != brain && !of_size(part);
+            let mut name = vec![brain.as_str()];
+            name.extend(apart(&group.label).into_iter().filter(own));
+            name.push(variation_name);
+            Some(ratio_evidence(name.join(", "), set.name(), ratio, stated, note))
+        }));
     }
     found
 }

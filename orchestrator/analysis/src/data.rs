@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use super::kinds::{brains, format_brains, objective};
-use super::numbers::{distinct, geometric_mean};
+use super::numbers::{distinct, distinct_numbers, geometric_mean};
 use super::trial::{BodyState, Cluster, Set, Trial};
 use metasense_render::cell::brief;
 
@@ -320,10 +320,7 @@ pub fn observations(trials: &[&Trial], body: BodyState, set: Set, at: fn(&Trial)
 
 /// Returns the distinct values of the axis, ascending.
 pub fn places(observations: &[Observation]) -> Vec<f64> {
-    let mut places: Vec<f64> = observations.iter().map(|o| o.at).collect();
-    places.sort_by(f64::total_cmp);
-    places.dedup();
-    places
+    distinct_numbers(observations.iter().map(|o| o.at))
 }
 
 /// Errors along an axis, indexed for repeated weighting of clusters.

@@ -45,10 +45,7 @@ impl ErrorScale {
 
     /// In words.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Percent => "in %",
-            Self::Logarithm => "in logarithms",
-        }
+        ["in %", "in logarithms"][self as usize]
     }
 
     /// Returns y for ln e.

@@ -32,10 +32,7 @@ fn brains_for(setting: &Setting, task: Option<&str>) -> [String; 2] {
         },
         None => network(setting),
     };
-    let mut with = match setting.text("optimise.brain") {
-        Some(kind) => kind.to_owned(),
-        None => network(setting),
-    };
+    let mut with = setting.text("optimise.brain").map_or_else(|| network(setting), str::to_owned);
     if let Some(task) = task {
         [&mut own, &mut with].into_iter().for_each(|kind| *kind += &format!(" for {task}"));
     }

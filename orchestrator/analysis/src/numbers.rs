@@ -81,6 +81,14 @@ pub fn distinct<T: Ord>(values: impl IntoIterator<Item = T>) -> Vec<T> {
     values.into_iter().collect::<BTreeSet<T>>().into_iter().collect()
 }
 
+/// The same for floating-point numbers.
+pub fn distinct_numbers(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
+    let mut values: Vec<f64> = values.into_iter().collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    values
+}
+
 /// Returns the mean of an error over the networks that have it.
 pub fn network_mean(
     networks: &[NetworkRecord],

@@ -31,15 +31,16 @@ pub struct Ratio {
 
 impl Ratio {
     /// Returns the geometric mean of positive ratios with its interval over placements and seeds; `None` without ratios.
-    pub fn of(ratios: &[(Cluster, f64)]) -> Option<Self> {
+    pub fn of(ratios: impl IntoIterator<Item = (Cluster, f64)>) -> Option<Self> {
         // Count and sum of logarithms per cluster; its trials are drawn together.
-        let mut sums: BTreeMap<Cluster, [f64; 2]> = BTreeMap::new();
+        let (mut sums, mut above_one) = (BTreeMap::<Cluster, [f64; 2]>::new(), 0);
         for (cluster, ratio) in ratios {
-            let sum = sums.entry(*cluster).or_default();
+            let sum = sums.entry(cluster).or_default();
             *sum = [sum[0] + 1.0, sum[1] + ratio.ln()];
+            above_one += usize::from(ratio > 1.0);
         }
         let (clusters, sums): (Vec<Cluster>, Vec<[f64; 2]>) = sums.into_iter().unzip();
-        Self::weighed(&Resampling::new(&clusters), &sums, ratios.iter().filter(|(_, r)| *r > 1.0).count())
+        Self::weighed(&Resampling::new(&clusters), &sums, above_one)
     }
 
     /// The same with other units of inference; one ratio per trial of `units`.
@@ -76,8 +77,7 @@ impl Ratio {
 
 /// Ratio of the first value to the second, over trials that have both.
 pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
-    let of = without_repeats(trials, values).map(|(t, [a, b])| (t.cluster, a / b));
-    Ratio::of(&of.collect::<Vec<_>>())
+    Ratio::of(without_repeats(trials, values).map(|(t, [a, b])| (t.cluster, a / b)))
 }
 
 /// Error of the initial body divided by that of the trained body.
@@ -124,10 +124,7 @@ impl TrainingMeasure {
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Loss => "training loss",
-            Self::Error => "holdout error",
-        }
+        ["training loss", "holdout error"][self as usize]
     }
 }
 
@@ -147,9 +144,7 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 /// [`iteration_ratio`] over trials; geometric mean over the networks of a trial.
 pub fn iterations(trials: &[&Trial], by: TrainingMeasure) -> Option<Ratio> {
     let of = |t: &Trial| Some(geometric_mean(&t.iterations[by as usize])).filter(|mean| mean.is_finite());
-    let ratios: Vec<(Cluster, f64)> =
-        without_repeats(trials, of).map(|(t, ratio)| (t.cluster, ratio)).collect();
-    Ratio::of(&ratios)
+    Ratio::of(without_repeats(trials, of).map(|(t, ratio)| (t.cluster, ratio)))
 }
 
 /// Groups trials by the learning rate schedule of the comparison. A rate that falls to zero delays the target for any body, so

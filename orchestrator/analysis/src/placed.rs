@@ -78,7 +78,7 @@ impl SensorLevel<'_> {
             (!errors.is_empty()).then_some(())?;
             Some((t.cluster, geometric_mean(&errors) / t.error(body, set)?))
         };
-        Ratio::of(&searched.iter().filter_map(ratio).collect::<Vec<_>>())
+        Ratio::of(searched.iter().filter_map(ratio))
     }
 
     /// Error of the initial body divided by that of the trained body, both with searched sensors.

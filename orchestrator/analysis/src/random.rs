@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use metasense_schemas::spec::Design;
 
 use super::data::{DESIGN, Group, groups, without_repeats};
-use super::numbers::{geometric_mean, log_squares};
+use super::numbers::{distinct_numbers, geometric_mean, log_squares};
 use super::paired::Ratio;
 use super::resample::{PLACEMENTS, Resampling, SEEDS};
 use super::trial::{BodyState, RANDOM, SPREAD, Set, Trial};
@@ -40,10 +40,8 @@ impl Random {
 pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     let spread = |t: &Trial| t.setting.number(SPREAD).unwrap_or(Design::SPREAD);
     let split = |group: Group<'a>| {
-        let mut spreads: Vec<f64> =
-            group.trials.iter().filter(|t| t.starts_random()).map(|t| spread(t)).collect();
-        spreads.sort_by(f64::total_cmp);
-        spreads.dedup();
+        let random = group.trials.iter().filter(|t| t.starts_random());
+        let spreads = distinct_numbers(random.map(|t| spread(t)));
         if spreads.len() < 2 {
             return vec![group];
         }

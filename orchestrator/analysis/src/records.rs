@@ -7,6 +7,7 @@
 use super::numbers::{deviation, mean, quantile};
 use super::paired::iteration_ratio;
 use super::resample::{Interval, LEAST_UNITS, SEED};
+use super::tables::ends;
 use super::trial::CurvePoint;
 use metasense_numerics::random::Draw;
 use metasense_render::{Table, row};
@@ -113,7 +114,9 @@ impl Agreement {
         let difference = (0..channels).map(of_channel).sum::<f64>() / channels as f64;
         let most = LAGS.min(instants as i64 / 4);
         let lags: Vec<(f64, i64)> = (-most..=most).map(|lag| (correlation(lag), lag)).collect();
-        let best = lags.iter().max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |best| best.1);
+        // of equal correlations, as of constant signals, the least lag
+        let order = |a: &(f64, i64), b: &(f64, i64)| a.0.total_cmp(&b.0).then(b.1.abs().cmp(&a.1.abs()));
+        let best = lags.into_iter().max_by(order).map_or(0, |best| best.1);
         Self { correlation: correlation(0), difference: 100.0 * difference.sqrt(), lag: best }
     }
 }
@@ -259,32 +262,20 @@ pub fn table(judged: &[BodyErrors], paired: bool, delta: f64) -> Table {
         let mut known = body.known();
         known.sort_by(f64::total_cmp);
         let part = |q| (!known.is_empty()).then(|| quantile(&known, q));
-        let test = mean_interval(&known);
-        row![
-            body.body,
-            body.by.name(),
-            body.errors.len(),
-            body.error_train,
-            body.error(),
-            test.map(|i| i.low),
-            test.map(|i| i.high),
-            part(0.5),
-            part(0.9),
-            known.iter().filter(|error| **error > 100.0).count(),
-            deviation(&body.by_fold),
-            deviation(&body.by_seed),
-            ratio.map(|r| r.ratio),
-            ratio.and_then(|r| r.interval).map(|i| i.low),
-            ratio.and_then(|r| r.interval).map(|i| i.high),
-            first.and_then(|first| iteration_ratio(&first.progress, &body.progress)),
-            body.agreement.map(|a| a.correlation),
-            body.agreement.map(|a| a.difference),
-            body.agreement.map(|a| a.lag as f64 * delta),
-            body.posterior.map(|said| said.coverage),
-            body.posterior.map(|said| said.unconverged),
-            body.posterior.map(|said| said.unexplained),
-            body.posterior.map(|said| said.seconds)
+        let [low, high] = ends(mean_interval(&known));
+        let [ratio_low, ratio_high] = ends(ratio.and_then(|r| r.interval));
+        let iterations = first.and_then(|first| iteration_ratio(&first.progress, &body.progress));
+        let above = known.iter().filter(|error| **error > 100.0).count();
+        let (agreement, inverse) = (body.agreement, body.posterior);
+        [
+            row![body.body, body.by.name(), body.errors.len(), body.error_train, body.error(), low, high],
+            row![part(0.5), part(0.9), above, deviation(&body.by_fold), deviation(&body.by_seed)],
+            row![ratio.map(|r| r.ratio), ratio_low, ratio_high, iterations],
+            row![agreement.map(|a| a.correlation), agreement.map(|a| a.difference)],
+            row![agreement.map(|a| a.lag as f64 * delta), inverse.map(|i| i.coverage)],
+            row![inverse.map(|i| i.unconverged), inverse.map(|i| i.unexplained), inverse.map(|i| i.seconds)],
         ]
+        .concat()
     };
     let mut table = Table::new(columns, judged.iter().map(row));
     let inverse = judged.iter().any(|body| body.posterior.is_some());

@@ -195,7 +195,7 @@ fn note_cells(set: Set, ratio: impl Fn(Set) -> Option<Ratio>) -> Vec<Value> {
 }
 
 /// Returns a ratio and its interval, or nulls.
-fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
+pub(super) fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
     row![ratio.map(|r| r.ratio); ends(ratio.and_then(|r| r.interval))]
 }
 
@@ -334,21 +334,14 @@ fn random_table(trials: &[&Trial]) -> Table {
         let found = random(&group.trials, set)?;
         let mean = |errors: &[f64]| (!errors.is_empty()).then(|| geometric_mean(errors));
         let end = |pick: fn(f64, f64) -> f64| found.errors.iter().copied().reduce(pick);
-        let own = row![
-            found.errors.len(),
-            mean(&found.errors),
-            end(f64::min),
-            end(f64::max),
-            found.deviation(),
-            mean(&found.others[0]),
-            mean(&found.others[1]),
-            mean(&found.trained)
-        ];
+        let (count, average) = (found.errors.len(), mean(&found.errors));
+        let own = row![count, average, end(f64::min), end(f64::max), found.deviation()];
+        let others = row![mean(&found.others[0]), mean(&found.others[1]), mean(&found.trained)];
         let over =
             |ratio: &Option<Ratio>| row![ratio.as_ref().map(|r| r.above_one); interval_cells(ratio.as_ref())];
         let [initial, optimised] = &found.ratios;
         let units = row![optimised.as_ref().map(|r| &r.over)];
-        Some([own, over(initial), over(optimised), units].concat())
+        Some([own, others, over(initial), over(optimised), units].concat())
     })
 }
 
@@ -378,16 +371,11 @@ fn sensors_table(trials: &[&Trial], terms: DecisionTerms) -> Table {
         let row = |level: Level| {
             let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
             let [low, high] = ends(gain.and_then(|g| g.interval));
-            let further = row![
-                found.and_then(|e| e.share(Some(level.at))),
-                decided.and_then(|d| d.within.share(level.at)),
-                decided.and_then(|d| d.priced.as_ref()?.share(level.at)),
-                gain.map(|g| g.ratio),
-                low,
-                high,
-                decided.map(|d| &d.over)
-            ];
-            [level_cells(&level), further].concat()
+            let within = decided.and_then(|d| d.within.share(level.at));
+            let price = decided.and_then(|d| d.priced.as_ref()?.share(level.at));
+            let votes = row![found.and_then(|e| e.share(Some(level.at))), within, price];
+            let gain = row![gain.map(|g| g.ratio), low, high, decided.map(|d| &d.over)];
+            [level_cells(&level), votes, gain].concat()
         };
         levels(points).into_iter().map(row).collect()
     })
@@ -421,16 +409,12 @@ fn elbow_table(trials: &[&Trial], terms: DecisionTerms) -> Table {
         let row = |height: ErrorScale| {
             let found = elbow(points, height);
             let e = found.as_ref().ok();
-            let by_elbow = row![
-                height.name(),
-                found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
-                e.and_then(|e| e.broken_stick).map(whole),
-                e.and_then(|e| e.share(None)),
-                e.and_then(|e| e.without_largest).map(without),
-                e.map(|e| without(e.any_decay)),
-                e.and_then(|e| e.kneedle).map(whole),
-                e.and_then(|e| e.chord).map(whole)
-            ];
+            let verdict = found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict));
+            let stick = row![e.and_then(|e| e.broken_stick).map(whole), e.and_then(|e| e.share(None))];
+            let without_largest = e.and_then(|e| e.without_largest).map(without);
+            let others = row![without_largest, e.map(|e| without(e.any_decay))];
+            let [kneedle, chord] = [e.and_then(|e| e.kneedle), e.and_then(|e| e.chord)].map(|m| m.map(whole));
+            let by_elbow = [row![height.name(), verdict], stick, others, row![kneedle, chord]].concat();
             [by_elbow, fall.clone(), within.clone(), price.clone(), over.clone()].concat()
         };
         ErrorScale::ALL.map(row).into()
@@ -439,11 +423,8 @@ fn elbow_table(trials: &[&Trial], terms: DecisionTerms) -> Table {
 
 /// M, its share of votes, and M without the largest.
 fn decision_cells(decision: Option<&Decision>) -> Vec<Value> {
-    row![
-        decision.map(|d| d.at as u64),
-        decision.and_then(|d| d.share(d.at)),
-        decision.map(|d| d.without_largest as u64)
-    ]
+    let [at, without] = [decision.map(|d| d.at), decision.map(|d| d.without_largest)];
+    row![at.map(|m| m as u64), decision.and_then(|d| d.share(d.at)), without.map(|m| m as u64)]
 }
 
 fn fewer_table(trials: &[&Trial]) -> Table {

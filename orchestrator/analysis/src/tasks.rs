@@ -6,7 +6,7 @@ use super::data::{Observation, groups};
 use super::elbow::{ErrorScale, elbow};
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::tables::verdict_text;
+use super::tables::{interval_cells, verdict_text};
 use super::trial::{BodyState, Cluster, Trial};
 use metasense_render::{Table, row};
 use serde_json::Value;
@@ -95,7 +95,7 @@ pub fn ratio(own: &[&TaskResult]) -> Option<Ratio> {
         let [initial, trained] = read.compared();
         (read.cluster, initial / trained)
     };
-    Ratio::of(&own.iter().map(of).collect::<Vec<_>>())
+    Ratio::of(own.iter().map(of))
 }
 
 /// Elbow of the trained body's error against M, in logarithms; `None` with too few values of M.
@@ -140,17 +140,11 @@ pub fn table(all: &[TaskResult]) -> Table {
         let found = ratio(&own);
         let mean =
             |of: &dyn Fn(&TaskResult) -> f64| own.iter().map(|read| of(read)).sum::<f64>() / own.len() as f64;
-        let interval = found.as_ref().and_then(|ratio| ratio.interval);
         let head = row![setting, sensors, trained_for, task.0, readout, task.1, own.len()];
         let errors =
             row![mean(&|read| read.trivial), mean(&|read| read.errors[0]), mean(&|read| read.errors[1])];
-        let [low, high] = [interval.map(|i| i.low), interval.map(|i| i.high)];
-        [
-            head,
-            errors,
-            row![found.map(|ratio| ratio.ratio), low, high, by_placement(&own), elbows[&curve(own[0])]],
-        ]
-        .concat()
+        [head, errors, interval_cells(found.as_ref()), row![by_placement(&own), elbows[&curve(own[0])]]]
+            .concat()
     };
     Table::new(columns, kinds.into_iter().map(line))
 }

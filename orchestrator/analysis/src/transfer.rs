@@ -57,7 +57,7 @@ impl Setting<'_> {
     pub fn read(&self, body: &BodyTrials, under: &str) -> Option<TransferErrors> {
         let mean = |own: bool| {
             let of = |trial: &&Trial| Some((trial.cluster, reading(trial, body.body, under, own)?.error));
-            Ratio::of(&body.trials.iter().filter_map(of).collect::<Vec<_>>())
+            Ratio::of(body.trials.iter().filter_map(of))
         };
         let trained = body.body == BodyState::Optimised;
         let kept =

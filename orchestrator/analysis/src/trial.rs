@@ -20,18 +20,12 @@ impl BodyState {
 
     /// Name in the database.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Initial => "initial",
-            Self::Optimised => "optimised",
-        }
+        ["initial", "optimised"][self as usize]
     }
 
     /// Name in texts.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Initial => "initial",
-            Self::Optimised => "trained",
-        }
+        ["initial", "trained"][self as usize]
     }
 }
 
@@ -52,20 +46,12 @@ impl Set {
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Test => "test",
-            Self::Holdout => "holdout",
-            Self::Median => "holdout median",
-        }
+        ["test", "holdout", "holdout median"][self as usize]
     }
 
     /// Column of a body's error in tables of trials.
     pub fn column(self, body: BodyState) -> String {
-        let kind = match self {
-            Self::Test => "test_error",
-            Self::Holdout => "holdout_error",
-            Self::Median => "holdout_median",
-        };
+        let kind = ["test_error", "holdout_error", "holdout_median"][self as usize];
         format!("{kind}_{}", body.name())
     }
 

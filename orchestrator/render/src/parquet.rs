@@ -71,9 +71,6 @@ fn widen(kinds: &mut [Kind], row: &[Value]) {
 }
 
 /// Writes the table as a Parquet file; for `types` see [`super::RowWriter::typed`].
-///
-/// # Errors
-/// If writing to `out` fails.
 pub fn parquet(table: &Table, types: &[String], out: impl Write + Send) -> io::Result<()> {
     let mut kinds = vec![Kind::Null; table.columns.len()];
     table.rows.iter().for_each(|row| widen(&mut kinds, row));
@@ -92,9 +89,6 @@ pub struct Parquet<W> {
 
 impl<W: Write + Send> Parquet<W> {
     /// A writer of these columns.
-    ///
-    /// # Errors
-    /// If the temporary file cannot be created.
     pub fn new(out: W, columns: &[String]) -> io::Result<Self> {
         let rows = BufWriter::new(tempfile::tempfile()?);
         let kinds = vec![Kind::Null; columns.len()];
@@ -102,9 +96,6 @@ impl<W: Write + Send> Parquet<W> {
     }
 
     /// Adds a row.
-    ///
-    /// # Errors
-    /// If writing to the temporary file fails.
     pub fn row(&mut self, row: &[Value]) -> io::Result<()> {
         widen(&mut self.kinds, row);
         serde_json::to_writer(&mut self.rows, row)?;
@@ -112,9 +103,6 @@ impl<W: Write + Send> Parquet<W> {
     }
 
     /// Writes the Parquet file.
-    ///
-    /// # Errors
-    /// If writing to `out` fails.
     pub fn end(self) -> io::Result<()> {
         let mut file = self.rows.into_inner()?;
         file.rewind()?;
@@ -164,8 +152,7 @@ fn write<R: AsRef<[Vec<Value>]>>(
                     column.typed::<DoubleType>().write_batch(&values, levels, None)?
                 }
                 Kind::Text => {
-                    let values: Vec<ByteArray> =
-                        there.map(|value| plain(value).into_bytes().into()).collect();
+                    let values: Vec<ByteArray> = there.map(|v| plain(v).into_bytes().into()).collect();
                     column.typed::<ByteArrayType>().write_batch(&values, levels, None)?
                 }
             };

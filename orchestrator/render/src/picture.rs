@@ -69,8 +69,7 @@ pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -
     let wide = width / columns as f64;
     let mut cells = Vec::new();
     for row in pictures.chunks(columns) {
-        let titles: Vec<Vec<String>> =
-            row.iter().map(|p| lines(&p.title, (wide / LETTER) as usize)).collect();
+        let titles: Vec<_> = row.iter().map(|p| lines(&p.title, (wide / LETTER) as usize)).collect();
         let head = LINE * titles.iter().map(Vec::len).max().unwrap_or(0) as f64;
         let height = |p: &Picture| wide * p.view[3] / p.view[2];
         for (i, (picture, title)) in row.iter().zip(titles).enumerate() {

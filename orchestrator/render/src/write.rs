@@ -88,7 +88,7 @@ impl Table {
         bytes
     }
 
-    /// The rows as CSV, see [`Data`].
+    /// The rows as CSV, see [`PictureData`].
     pub fn csv(&self) -> String {
         let mut data = PictureData::new(&self.columns);
         self.rows.iter().for_each(|row| data.row(row));
@@ -136,9 +136,6 @@ enum Form<W: Write + Send> {
 
 impl<W: Write + Send> RowWriter<W> {
     /// A writer of these columns. `screen`: greatest line width of a readable table, in characters.
-    ///
-    /// # Errors
-    /// If writing to `out` fails, or Parquet's temporary file cannot be created.
     pub fn new(out: W, format: Format, columns: &[String], screen: Option<usize>) -> io::Result<Self> {
         Ok(Self(match format {
             Format::Table => Form::Kept(out, Table { columns: columns.to_vec(), ..Table::default() }, screen),
@@ -165,9 +162,6 @@ impl<W: Write + Send> RowWriter<W> {
     }
 
     /// Adds a row.
-    ///
-    /// # Errors
-    /// If writing fails.
     pub fn row(&mut self, row: Vec<Value>) -> io::Result<()> {
         match &mut self.0 {
             Form::Kept(_, table, _) => {
@@ -188,9 +182,6 @@ impl<W: Write + Send> RowWriter<W> {
     }
 
     /// Finishes the output.
-    ///
-    /// # Errors
-    /// If writing fails.
     pub fn end(self) -> io::Result<()> {
         match self.0 {
             Form::Kept(mut out, table, screen) => writeln!(out, "{}", text(&table, screen)),

@@ -73,7 +73,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let results = dir.join(RESULTS);
     write_parts(&results, &story, &drawn)?;
     for (sweep, name) in story.sweeps.iter().zip(&names) {
-        write_spec_files(&results, name, &sweep.text)?;
+        write_spec_files(&results, name, &names, &sweep.text)?;
     }
     merge(Extent::Whole, std::slice::from_ref(db), &dir.join(DATABASE)).await?;
     write(&dir.join(PROVENANCE), made.written(Format::Json))?;
@@ -85,16 +85,16 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Writes the spec and copies of the files that it names by absolute path; the spec refers to the copies. Warns about missing
-/// files.
-fn write_spec_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
+/// Writes the spec `name` and copies of the files that it names by absolute path; the spec refers to the copies. `specs` are the
+/// names of all specs. Warns about missing files.
+fn write_spec_files(folder: &Path, name: &str, specs: &[String], text: &str) -> Result<(), Error> {
     let mut copies = BTreeMap::<String, String>::new();
     for file in files_of(text) {
         let path = Path::new(&file);
         match path.file_name().filter(|_| path.is_absolute() && path.is_file()) {
             Some(_) if copies.contains_key(&file) => {}
             Some(last) => {
-                let copy = free_name(folder, &format!("{name}-{}", last.to_string_lossy()));
+                let copy = free_name(folder, specs, &format!("{name}-{}", last.to_string_lossy()));
                 write(&folder.join(&copy), std::fs::read(path).map_err(Error::unreadable(path))?)?;
                 copies.insert(file, copy);
             }
@@ -104,11 +104,13 @@ fn write_spec_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> 
     write(&folder.join(format!("{name}.toml")), refer_to(&copies, text))
 }
 
-/// The name, with a number before its ending if the folder contains a file of this name.
-fn free_name(folder: &Path, name: &str) -> String {
+/// The name, with a number before its ending if the folder contains or will contain a file of this name.
+fn free_name(folder: &Path, specs: &[String], name: &str) -> String {
+    let is_spec = |name: &str| name.strip_suffix(".toml").is_some_and(|name| specs.iter().any(|s| s == name));
     let at = name.rfind('.').unwrap_or(name.len());
     let numbered = (2..).map(|n| format!("{}-{n}{}", &name[..at], &name[at..]));
-    let free = std::iter::once(name.to_owned()).chain(numbered).find(|name| !folder.join(name).exists());
+    let mut all = std::iter::once(name.to_owned()).chain(numbered);
+    let free = all.find(|name| !is_spec(name) && !folder.join(name).exists());
     free.expect("numbers do not end")
 }
 
@@ -147,17 +149,24 @@ fn files_of(text: &str) -> Vec<String> {
     found
 }
 
-/// A cell of the first row, which counts the most trials.
-fn first<'a>(made: &'a Table, column: &str) -> &'a str {
-    made.rows[0][made.column(column)].as_str().unwrap_or("unknown")
+/// The different values of a column, those of most trials first.
+fn different<'a>(made: &'a Table, column: &str) -> Vec<&'a str> {
+    let column = made.column(column);
+    in_order(made.rows.iter().map(|row| row[column].as_str().unwrap_or("unknown")))
+}
+
+/// End of the last trial.
+fn last_end(made: &Table) -> &str {
+    different(made, "last").into_iter().max().unwrap_or("unknown")
 }
 
 fn readme(story: &ReportData, names: &[String], made: &Table) -> String {
     let [version, code, revision, simd] =
-        ["version", "code", "revision", "simd"].map(|name| first(made, name));
+        ["version", "code", "revision", "simd"].map(|key| different(made, key));
+    let several = code.len() + simd.len() > 2;
     let mut text = format!(
-        "# {}\n\nResults of [metasense]({MANIFEST}) {version}, code {code}, commit {revision}, instruction set {simd}: {}, {} of them \
-         finished. Before you publish this folder, add authors and a licence to `{MANIFEST}`.\n\n\
+        "# {}\n\nResults of [metasense]({MANIFEST}) {}, code {}, commit {}, instruction set {}: {}, {} of them finished. Before you \
+         publish this folder, add authors and a licence to `{MANIFEST}`.\n\n\
          | file | contents |\n|---|---|\n\
          | `{REPORT}` | answers and figures |\n\
          | `{RESULTS}/` | specs (TOML), trials and answers (CSV), figures (SVG) with their data (CSV) |\n\
@@ -167,11 +176,24 @@ fn readme(story: &ReportData, names: &[String], made: &Table) -> String {
          The same code gives the same bits with the same instruction set and C library. The last command compares each trial and ends \
          with exit code 1 if any bit differs.\n\n",
         names.join(", "),
+        version.join(", "),
+        code.join(", "),
+        revision.join(", "),
+        simd.join(", "),
         counted(story.states.all, "trial"),
         story.states.done
     );
+    if several {
+        text += &format!(
+            "Several codes or instruction sets computed these trials (`{PROVENANCE}`). Trials of others than yours may differ.\n\n"
+        );
+    }
+    let set = match simd[..] {
+        [one] if one != "unknown" => format!(" --simd {one}"),
+        _ => String::new(),
+    };
     for name in names {
-        text += &format!("    metasense run {RESULTS}/{name}.toml --simd {simd} --db again.sqlite\n");
+        text += &format!("    metasense run {RESULTS}/{name}.toml{set} --db again.sqlite\n");
     }
     text + &format!("    metasense cluster merge {DATABASE} again.sqlite --out both.sqlite\n")
 }
@@ -201,12 +223,12 @@ fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<S
             "conformsTo": { "@id": "https://w3id.org/ro/crate/1.1" } }),
         json!({ "@id": "./", "@type": "Dataset", "name": format!("metasense: {title}"),
             "description": "Bodies of metamaterial sensors, trained together with their decoders",
-            "datePublished": first(made, "last"), "mentions": { "@id": "#run" },
+            "datePublished": last_end(made), "mentions": { "@id": "#run" },
             "hasPart": files.iter().map(refers).collect::<Vec<_>>() }),
         json!({ "@id": "#metasense", "@type": "SoftwareApplication", "name": "metasense",
-            "softwareVersion": first(made, "version"), "identifier": first(made, "code") }),
+            "softwareVersion": different(made, "version").join(", "), "identifier": different(made, "code").join(", ") }),
         json!({ "@id": "#run", "@type": "CreateAction", "name": "metasense run", "instrument": { "@id": "#metasense" },
-            "endTime": first(made, "last"), "result": { "@id": DATABASE },
+            "endTime": last_end(made), "result": { "@id": DATABASE },
             "object": names.iter().map(|name| refers(&format!("{RESULTS}/{name}.toml"))).collect::<Vec<_>>() }),
     ];
     for name in &files {
@@ -232,26 +254,4 @@ fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<S
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Different files of one name have a copy each, a file that is named twice has one; the quotes of a name do not matter.
-    #[test]
-    fn a_spec_refers_to_the_copies_of_its_files() {
-        let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| folder.path().join(name);
-        let [first, second] = ["1", "2"].map(|day| {
-            std::fs::create_dir(at(day)).unwrap();
-            let file = at(day).join("forces.npy");
-            std::fs::write(&file, day).unwrap();
-            file.display().to_string()
-        });
-        let head = format!("# day 1: {first}\n[stimuli.recorded]\n");
-        let text = format!("{head}files = ['{first}', \"{second}\", \"{first}\"]\n");
-        write_spec_files(folder.path(), "s", &text).unwrap();
-        let read = |name: &str| std::fs::read_to_string(at(name)).unwrap();
-        let files = r#"files = ["s-forces.npy", "s-forces-2.npy", "s-forces.npy"]"#;
-        assert_eq!(read("s.toml"), format!("{head}{files}\n"));
-        assert_eq!(["s-forces.npy", "s-forces-2.npy"].map(read), ["1", "2"]);
-    }
-}
+mod tests;

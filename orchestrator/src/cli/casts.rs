@@ -52,8 +52,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let found = casts(&trial, &design, count, variation, cores(), &mut progress)
         .map_err(|e| args.one.trial.failed(e))?;
-    let failed =
-        found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
+    let failed = found.iter().filter(|r| r.reader == "nominal" && r.outcome != "ok").count();
     let holdout = trial.stimuli.holdout;
     let table = if args.rows { row_per_cast(&found, holdout) } else { medians(&found, holdout) };
     print_rows(&table, args.format)?;

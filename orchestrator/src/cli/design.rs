@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::named::Spec;
-use super::run::{RunConfig, Running, run};
+use super::run::{RunConfig, Running, exit_of, run};
 use super::{Error, Format, log, print_rows};
 use crate::exit::Exit;
 use crate::files;
@@ -67,6 +67,11 @@ pub(super) async fn end(
     outcome: RunOutcome,
 ) -> Result<Exit, Error> {
     let found = Reader::with_reader(db, async |reader| SearchState::of(reader, plan, space).await).await?;
+    exit_of(&outcome, print_search(db, &found, format))
+}
+
+/// Prints the table and the verdict; returns the exit code of a complete search.
+fn print_search(db: &Path, found: &SearchState, format: Format) -> Result<Exit, Error> {
     print_rows(&found.table(), format)?;
     if format == Format::Table {
         COLUMNS.iter().for_each(|line| say!("  {line}"));
@@ -77,10 +82,5 @@ pub(super) async fn end(
         let reader = if found.reads_all_casts() { " --reader casts" } else { "" };
         say!("  metasense export {} {} --format device{reader} --out device", files::quoted(db), trial.hash);
     }
-    Ok(match (outcome, chosen) {
-        (RunOutcome::Interrupted, _) => Exit::Interrupted,
-        (RunOutcome::Unfit(_), _) => Exit::Unfit,
-        (_, None) => Exit::Failed,
-        _ => Exit::Done,
-    })
+    Ok(if chosen.is_some() { Exit::Done } else { Exit::Failed })
 }

@@ -21,63 +21,47 @@ use crate::store::StoreError;
 /// The reason why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs, reason = "the messages name the fields")]
+#[allow(missing_docs, reason = "names and messages say what failed")]
 pub enum Error {
-    /// Invalid spec.
     #[error(transparent)]
     Spec(#[from] SpecError),
     /// A file that the command line names cannot be read.
     #[error("cannot read {}", path.display())]
     Unreadable { path: PathBuf, source: std::io::Error },
-    /// Invalid design file.
     #[error(transparent)]
     Design(#[from] DesignError),
-    /// Invalid measured records.
     #[error(transparent)]
     Measured(#[from] MeasuredError),
-    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A file operation failed.
     #[error("{doing} {}", path.display())]
     Io { doing: &'static str, path: PathBuf, source: std::io::Error },
-    /// Writing to the terminal or pipe failed.
     #[error("writing the output")]
     Output(#[from] std::io::Error),
-    /// Invalid command line.
     #[error("{0}")]
     Usage(String),
-    /// The run failed.
     #[error(transparent)]
     Engine(#[from] EngineError),
-    /// The limits of the machine are too low.
     #[error("the limits of {host} are too low, and nothing was started: {0}", host = host())]
     Short(String),
-    /// Merging failed.
     #[error(transparent)]
     Merge(#[from] MergeError),
-    /// Shards ended without progress.
     #[error(
         "shards {shards} ended without a step or a result: see their outputs in {}; the same command tries again",
         folder.display()
     )]
     Shards { folder: PathBuf, shards: String },
-    /// The assignment of trials to shards failed.
     #[error(transparent)]
     Assignment(#[from] AssignmentError),
-    /// A scheduler's queue failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
     /// The scheduler accepted only some of the jobs.
     #[error("{0}")]
     Partly(String),
-    /// A shard's database failed.
     #[error(transparent)]
     Home(#[from] HomeError),
-    /// Signals cannot be received.
     #[error(transparent)]
     Signals(#[from] SignalError),
-    /// Controlling a run failed.
     #[error(transparent)]
     Control(#[from] ControlError),
 }

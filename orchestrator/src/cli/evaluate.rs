@@ -147,15 +147,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let (spec, design) = (spec_of_body(&specs, name), designs.get(name));
         let usage_error = |why: &str| Error::Usage(format!("--records {name}={}: {why}", file.display()));
         if inverse && design.is_none() {
-            return Err(usage_error(
-                "an inverse decoder needs the model of the body: pass --design BODY=FILE",
-            ));
+            let why = "an inverse decoder needs the model of the body: pass --design BODY=FILE";
+            return Err(usage_error(why));
         }
         let (by, measured) = match design.filter(|_| file.as_os_str() == HOLDOUT) {
             Some(_) if !inverse => {
-                return Err(usage_error(
-                    "only for --brain inverse; the trial contains the errors of other decoders",
-                ));
+                let why = "only for --brain inverse; the trial contains the errors of other decoders";
+                return Err(usage_error(why));
             }
             Some(design) => {
                 let own = (&design[..], twins.get(name));
@@ -353,13 +351,10 @@ fn same_forces(a: &[f64], b: &[f64]) -> bool {
 
 /// Whether all networks trained without failure; prints the other outcomes.
 fn all_trained(body: &BodyRecords) -> bool {
-    fn own(of: &Option<(Vec<f64>, Evaluated)>) -> Option<&Evaluated> {
-        of.as_ref().map(|(_, evaluated)| evaluated)
-    }
     let kinds = [
         ("measured", Some(&body.measured)),
-        ("simulated", own(&body.simulated)),
-        ("the twin's", own(&body.twin)),
+        ("simulated", body.simulated.as_ref().map(|own| &own.1)),
+        ("the twin's", body.twin.as_ref().map(|own| &own.1)),
     ];
     let mut well = true;
     for (kind, evaluated) in kinds {
@@ -395,9 +390,8 @@ fn archive(comparison: &ComparableBodies) -> Vec<u8> {
             ("simulated_", simulated.as_ref().map(|(signals, judged)| (signals, judged))),
             ("twin_", twin.as_ref().map(|(signals, judged)| (signals, judged))),
         ];
-        for (prefix, (signals, judged)) in
-            kinds.into_iter().filter_map(|(prefix, kind)| Some((prefix, kind?)))
-        {
+        for (prefix, kind) in kinds {
+            let Some((signals, judged)) = kind else { continue };
             let errors: Vec<f64> = judged.errors.iter().flatten().map(|e| e.unwrap_or(f64::NAN)).collect();
             zip.array(&format!("{prefix}signals_{name}"), &[n, instants, channels], signals);
             zip.array(&format!("{prefix}predictions_{name}"), &forces, &judged.predictions);

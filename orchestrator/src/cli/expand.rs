@@ -83,8 +83,7 @@ fn say_bodies(trials: &[PlannedTrial]) {
     }
     let mass = |trial: &&PlannedTrial| Some(measures(&trial.spec).ok()?[0]).filter(|m| m.is_finite());
     let grams: Vec<f64> = bodies.iter().filter_map(mass).collect();
-    let (small, large): (Vec<_>, Vec<_>) =
-        bodies.iter().copied().partition(|trial| trial.units <= FREQUENCY_UNITS);
+    let (small, large): (Vec<_>, Vec<_>) = bodies.iter().copied().partition(|t| t.units <= FREQUENCY_UNITS);
     let (mut found, mut missing): (Vec<(&PlannedTrial, Natural)>, _) = (Vec::new(), None);
     for trial in small {
         match natural_frequencies(&trial.spec) {
@@ -125,12 +124,10 @@ fn say_bodies(trials: &[PlannedTrial]) {
     if grams.iter().any(|grams| *grams > MOST_GRAMS) {
         say!("warning: a body of more than {} kg: {check}", MOST_GRAMS / 1e3);
     }
-    if let Some((trial, Natural { first, .. })) = found
-        .iter()
-        .find(|(trial, Natural { first, .. })| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
-    {
-        let s = trial.spec.time.duration;
-        let [hz, count] = [*first, first * s].map(number);
+    let oscillations = |(trial, natural): &(&PlannedTrial, Natural)| natural.first * trial.spec.time.duration;
+    if let Some(slow) = found.iter().find(|of| oscillations(of) < LEAST_OSCILLATIONS) {
+        let s = slow.0.spec.time.duration;
+        let [hz, count] = [slow.1.first, oscillations(slow)].map(number);
         say!("warning: at {hz} Hz the slowest mode makes {count} oscillations in a sample of {s} s: {check}");
     }
     let rate = |trial: &PlannedTrial| trial.spec.time.samples as f64 / trial.spec.time.duration;
@@ -142,14 +139,11 @@ fn say_bodies(trials: &[PlannedTrial]) {
     }
 }
 
-/// Rounds an estimated cost to two significant digits.
-fn rounded(cost: f64) -> f64 {
-    format!("{cost:.1e}").parse().expect("a number")
-}
-
 fn row(trial: &PlannedTrial, axes: &BTreeSet<&str>, text: fn(&Value) -> String) -> Vec<Value> {
     let PlannedTrial { hash, spec, units, design_parameters, brain_parameters, .. } = trial;
     let point = spec.point;
+    // two significant digits
+    let cost: f64 = format!("{:.1e}", trial.seconds()).parse().expect("a number");
     let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
     let mut row = row![
         hash,
@@ -162,7 +156,7 @@ fn row(trial: &PlannedTrial, axes: &BTreeSet<&str>, text: fn(&Value) -> String) 
         list(&spec.sensor_units),
         design_parameters,
         brain_parameters,
-        rounded(trial.seconds())
+        cost
     ];
     if !axes.is_empty() {
         let spec = serde_json::to_value(spec).expect("a trial is JSON");

@@ -72,8 +72,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
     let measured = read_records(&args.records, trial)?;
-    let free: Vec<Parameter> =
-        args.fit.iter().filter_map(|&f| Parameter::ALL.get(f as usize)).copied().collect();
+    let free: Vec<_> = args.fit.iter().filter_map(|&f| Parameter::ALL.get(f as usize)).copied().collect();
     if !free.is_empty() && free.len() < args.fit.len() {
         return usage!("--fit variation: must stand alone; leave out the other parameters");
     }
@@ -107,10 +106,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let start = Parameters::of(&start.scene);
     let found = estimates(trial, &start, &fit);
     let shown = readable(&found);
-    match args.format {
-        Format::Table => print_rows(&shown, args.format)?,
-        _ => print_rows(&found, args.format)?,
-    }
+    print_rows(if args.format == Format::Table { &shown } else { &found }, args.format)?;
     let records = measured.forces.samples;
     let mut messages = fit_messages(trial, &start, &fit, records);
     if fit.ending != Ending::NotExplained {
@@ -119,13 +115,16 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if args.format == Format::Table && !fit.correlation.is_empty() {
         print_rows(&correlations(&fit), args.format)?;
     }
-    print_lines(&messages, args.format)?;
+    for line in &messages {
+        match args.format {
+            Format::Table => print_line!("{line}")?,
+            _ => say!("{line}"),
+        }
+    }
     say!("{}, {}", duration(started_at.elapsed().as_secs_f64()), fit.measured.solver);
     if let Some(folder) = &args.out_dir {
-        let title = format!(
-            "{}: parameters from {records} records",
-            args.one.trial.source.file_stem().unwrap_or_default().display()
-        );
+        let name = args.one.trial.source.file_stem().unwrap_or_default().display();
+        let title = format!("{name}: parameters from {records} records");
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
         write(&folder.join("estimates.csv"), found.csv())?;
@@ -141,17 +140,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     unfinished.done()?;
     Ok(if fit.ending == Ending::Converged { Exit::Done } else { Exit::Failed })
-}
-
-/// Prints lines below a table; with other formats, on standard error.
-fn print_lines(lines: &[String], format: Format) -> Result<(), Error> {
-    match format {
-        Format::Table => lines.iter().try_for_each(|line| Ok(print_line!("{line}")?)),
-        _ => {
-            lines.iter().for_each(|line| say!("{line}"));
-            Ok(())
-        }
-    }
 }
 
 /// An iteration of the fit on disk.
@@ -234,8 +222,7 @@ fn estimates(trial: &TrialSpec, start: &Parameters, fit: &Fit) -> Table {
 
 /// The fitted `signals.start` for the file of records, after a warning about clocks at their bound.
 fn fitted_starts(measured: &Measured, offsets: &[Option<Offset>]) -> Vec<String> {
-    let all: Vec<(f64, Option<Offset>)> =
-        measured.starts.iter().copied().zip(offsets.iter().copied()).collect();
+    let all: Vec<_> = measured.starts.iter().copied().zip(offsets.iter().copied()).collect();
     if all.is_empty() {
         return Vec::new();
     }

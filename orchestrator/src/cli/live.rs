@@ -140,8 +140,7 @@ impl Watch for Live<'_> {
 
     fn tick(&mut self, view: &View) {
         let (part, eta) = (view.fraction(), view.eta().filter(|_| !view.paused));
-        let to_go =
-            eta.map_or("ETA unknown yet".into(), |eta| format!("ETA {}", duration(eta.as_secs_f64())));
+        let to_go = eta.map_or("ETA unknown yet".into(), |t| format!("ETA {}", duration(t.as_secs_f64())));
         let paused = if view.paused { "paused, " } else { "" };
         let (settled, busy, trials) = (view.settled(), view.busy, counted(view.total, "trial"));
         let workers = counted(view.workers as usize, "worker");
@@ -193,8 +192,7 @@ fn percent(body: &BodyRecord) -> String {
     let percent = |value: f64| format!("{value:.2} %");
     let mean = |of: fn(&NetworkRecord) -> Option<f64>| network_mean(&body.networks, of).map(percent);
     let above = most_above(&body.networks).filter(|above| *above > 0);
-    let above =
-        above.map_or(String::new(), |above| format!(", {} above 100 %", counted(above as usize, "sample")));
+    let above = above.map_or(String::new(), |n| format!(", {} above 100 %", counted(n as usize, "sample")));
     let median = mean(|network| network.spread?.median);
     let median = median.map_or(String::new(), |median| format!(" (median {median}{above})"));
     let unknown = || match body.networks.first().map(|network| network.outcome.as_str()) {
@@ -205,17 +203,4 @@ fn percent(body: &BodyRecord) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A done trial whose error is unknown says why.
-    #[test]
-    fn unknown_errors_have_a_cause() {
-        let of = |outcome: &str| {
-            let network = NetworkRecord { outcome: outcome.into(), ..NetworkRecord::default() };
-            percent(&BodyRecord { networks: vec![network], ..BodyRecord::default() })
-        };
-        assert_eq!(of("non_finite"), "unknown (non_finite)");
-        assert_eq!(of("ok"), "unknown (no held-out sample has a force)");
-    }
-}
+mod tests;

@@ -27,9 +27,6 @@ pub fn path(database: &Path) -> Result<PathBuf, Error> {
 }
 
 /// Appends all later events to the file. Call once per process.
-///
-/// # Errors
-/// If the file cannot be written.
 pub fn start(path: &Path) -> Result<(), Error> {
     let file = OpenOptions::new().create(true).append(true).open(path);
     let file = file.map_err(Error::io("opening the log", path))?;

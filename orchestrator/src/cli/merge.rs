@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
 use crate::cluster::home::attempts;
-use crate::cluster::merge::{Extent, FindingKind, Summary, merge};
+use crate::cluster::merge::{Extent, FindingKind, MergeFinding, Summary, merge};
 use crate::cluster::state::{ShardState, never_begun, states};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
@@ -44,7 +44,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let extent = if args.facts { Extent::Facts } else { Extent::Whole };
     let summary = merge(extent, &args.files, &args.out).await?;
     if !summary.findings.is_empty() {
-        print_rows(&table(&summary), Format::Table)?;
+        let row = |f: &MergeFinding| {
+            row![f.kind.name(), f.hash, f.what, f.kept.display().to_string(), f.other.display().to_string()]
+        };
+        let table = Table::new("finding trial what kept other", summary.findings.iter().map(row));
+        print_rows(&table, Format::Table)?;
     }
     for (file, why) in &summary.refused {
         say!("refused: {}: {why}", file.display());
@@ -100,12 +104,4 @@ pub(super) fn print_never_started(never: &[String], remedy: &str) {
         list += &format!(" and {} more", never.len() - MOST);
     }
     say!("never started: {} ({list}); `{remedy}` runs them", counted(never.len(), "trial"));
-}
-
-fn table(summary: &Summary) -> Table {
-    let columns = "finding trial what kept other";
-    let row = |f: &crate::cluster::merge::MergeFinding| {
-        row![f.kind.name(), f.hash, f.what, f.kept.display().to_string(), f.other.display().to_string()]
-    };
-    Table::new(columns, summary.findings.iter().map(row))
 }

@@ -191,9 +191,6 @@ fn allow_negative_numbers(command: clap::Command) -> clap::Command {
 }
 
 /// Executes a command line whose first word is the name of the program.
-///
-/// # Errors
-/// Bad input and failed I/O, each with its exit code.
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let args: Vec<OsString> = args.collect();
     let words: Vec<&str> = args.iter().skip(1).take(2).map_while(|word| word.to_str()).collect();
@@ -232,8 +229,7 @@ fn check_outputs(matches: &ArgMatches) -> Result<(), Error> {
     };
     let written = ["out", "design_out"];
     if let Some(folder) = named("out_dir").map(Path::new).find(|folder| folder.exists() && !folder.is_dir()) {
-        let folder = folder.display();
-        return Err(Error::Usage(format!("--out-dir {folder}: is not a folder; choose another name")));
+        return usage!("--out-dir {}: is not a folder; choose another name", folder.display());
     }
     // `submit` merges into its file and creates the folder; a device is a folder
     let is_file = name != "submit" && !named("format").any(|format| format == "device");
@@ -276,9 +272,6 @@ pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
 }
 
 /// Runs a command in its own runtime.
-///
-/// # Errors
-/// If the command fails, or if no runtime can be started.
 pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'static) -> Result<T, Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(Error::io("starting", "the runtime"))?;

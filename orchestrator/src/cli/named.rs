@@ -221,7 +221,6 @@ impl Named {
         Spec { file: self.source.clone(), changes }
     }
 
-    /// The trials of this spec.
     pub fn plan(&self) -> Result<Plan, Error> {
         self.spec().plan()
     }
@@ -238,8 +237,7 @@ impl Named {
     pub fn in_database(&self) -> Result<(PathBuf, String), Error> {
         if self.is_database() {
             let word = files::quoted(&self.source);
-            let asked =
-                self.hash_argument()?.ok_or_else(|| Error::Usage(format!("name the trial: {word} HASH")))?;
+            let Some(asked) = self.hash_argument()? else { return usage!("name the trial: {word} HASH") };
             return Ok((self.source.clone(), asked.to_owned()));
         }
         let plan = self.plan()?;
@@ -329,9 +327,7 @@ impl Named {
     pub fn refused_key(&self, key: &str, remedy: &str) -> Error {
         match self.is_database() {
             true => self.refused(format!("{key}: {remedy}")),
-            false => {
-                self.spec().source().map_or_else(|e| e, |spec| spec.error_with(key, None, remedy).into())
-            }
+            false => self.spec().source().map_or_else(|e| e, |s| s.error_with(key, None, remedy).into()),
         }
     }
 

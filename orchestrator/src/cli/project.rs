@@ -49,7 +49,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         return Ok(Exit::Failed);
     }
-    print_rows(&rows(&found), Format::Table)?;
+    let rows = found.active.iter().map(|a| {
+        let other = (a.units[0] != a.units[1]).then_some(a.units[1]);
+        row![a.kind.name(), a.units[0], a.node, other, a.slack]
+    });
+    print_rows(&Table::new("constraint unit node other_unit slack_mm", rows), Format::Table)?;
     Ok(Exit::Done)
 }
 
@@ -71,13 +75,4 @@ fn summary(found: &Projection, previous: &[f64], broken: usize) -> Vec<String> {
         format!("work      {} programs, {} interior-point iterations", found.programs, found.iterations),
         format!("active    {} constraints at their limit", found.active.len()),
     ]
-}
-
-fn rows(found: &Projection) -> Table {
-    let columns = "constraint unit node other_unit slack_mm";
-    let rows = found.active.iter().map(|a| {
-        let other = (a.units[0] != a.units[1]).then_some(a.units[1]);
-        row![a.kind.name(), a.units[0], a.node, other, a.slack]
-    });
-    Table::new(columns, rows)
 }

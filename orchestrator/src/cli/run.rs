@@ -224,7 +224,6 @@ fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
 
 /// How a plan is run.
 pub(super) struct RunConfig<'a> {
-    /// The source of the plan.
     pub spec: &'a Spec,
     pub running: &'a Running,
     /// The shard to run; none: all trials.
@@ -255,7 +254,23 @@ pub(super) async fn run(
     check(&Needs { threads: 2, files: &[db], ..Needs::default() })?;
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
-    let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
+    let ran = async {
+        let pages = match how.running.serve {
+            Some(port) => Some(Pages::start(store.path(), port).await?),
+            None => None,
+        };
+        let again = RerunPolicy { failed: how.running.retry_failed, other_code: how.running.redo_other_code };
+        let mut options = options(&plan.spec.run, how.running);
+        let (store, plan, control, options) = (&mut store, &plan, &control, &mut options);
+        let (shard, asked) = (how.shard, how.asked);
+        let round = Round { store, plan, shard, log, signals, control, options, asked, stopping: false };
+        let outcome = drive(round, again).await;
+        if let Some(pages) = pages {
+            pages.end().await;
+        }
+        outcome
+    };
+    let ran = ran.await;
     let plan = control.last_plan(plan);
     // Removes the socket, then closes the database, also after an error.
     drop(control);
@@ -270,30 +285,6 @@ pub(super) async fn run(
         }
     };
     Ok((outcome.unwrap_or(RunOutcome::Complete), plan))
-}
-
-async fn run_open(
-    store: &mut Store,
-    plan: &Plan,
-    how: &RunConfig<'_>,
-    log: &Path,
-    signals: &mut Signals,
-    control: &Control,
-    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<RunOutcome>, Error>,
-) -> Result<Option<RunOutcome>, Error> {
-    let pages = match how.running.serve {
-        Some(port) => Some(Pages::start(store.path(), port).await?),
-        None => None,
-    };
-    let again = RerunPolicy { failed: how.running.retry_failed, other_code: how.running.redo_other_code };
-    let mut options = options(&plan.spec.run, how.running);
-    let (shard, asked, options) = (how.shard, how.asked, &mut options);
-    let round = Round { store, plan, shard, log, signals, control, options, asked, stopping: false };
-    let outcome = drive(round, again).await;
-    if let Some(pages) = pages {
-        pages.end().await;
-    }
-    outcome
 }
 
 /// The socket for commands; a run continues without it.
@@ -314,10 +305,8 @@ fn reread(plan: &Plan, how: &RunConfig) -> Arc<Reread> {
             return Err(why.into());
         }
         if spec.file.metadata().is_ok_and(|file| !file.is_file()) {
-            return Err(format!(
-                "{} is not a regular file: write the spec to one, and run that",
-                spec.file.display()
-            ));
+            let file = spec.file.display();
+            return Err(format!("{file} is not a regular file: write the spec to one, and run that"));
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
         plan.check_memory().map_err(|error| chain(&error))?;
@@ -453,27 +442,34 @@ fn name(outcome: RunOutcome) -> &'static str {
     }
 }
 
-/// Prints the table and the database; returns the exit code. A closed terminal does not change that of a stopped run.
+/// Prints the table and the database; returns the exit code.
 pub(super) async fn end(
     results: Results<'_>,
     plan: &Plan,
     format: Format,
     outcome: RunOutcome,
 ) -> Result<Exit, Error> {
+    let db = results.named.display();
+    let printed = print_results(results, plan, format).await;
+    let exit = exit_of(&outcome, printed.map(|failed| if failed > 0 { Exit::Failed } else { Exit::Done }))?;
+    say!("database: {db}");
+    Ok(exit)
+}
+
+/// The exit code of a stopped run, even if its output could not be printed; else that of its output.
+pub(super) fn exit_of(outcome: &RunOutcome, printed: Result<Exit, Error>) -> Result<Exit, Error> {
     let early = match outcome {
         RunOutcome::Interrupted => Some(Exit::Interrupted),
         RunOutcome::Unfit(_) => Some(Exit::Unfit),
         _ => None,
     };
-    let failed = match (print_results(results, plan, format).await, early) {
-        (Err(error @ Error::Output(_)), Some(_)) => {
+    match (printed, early) {
+        (Err(error @ Error::Output(_)), Some(early)) => {
             error.say();
-            0
+            Ok(early)
         }
-        (printed, _) => printed?,
-    };
-    say!("database: {}", results.named.display());
-    Ok(early.unwrap_or(if failed > 0 { Exit::Failed } else { Exit::Done }))
+        (printed, early) => printed.map(|exit| early.unwrap_or(exit)),
+    }
 }
 
 /// The command line overrides the spec, which overrides the defaults of the machine.

@@ -19,9 +19,6 @@ macro_rules! print_line {
 }
 
 /// Ignores that the reader of standard output has closed it: the command still writes its files and has its own exit code.
-///
-/// # Errors
-/// Any other failure of `printed`.
 pub fn unless_closed(printed: std::io::Result<()>) -> std::io::Result<()> {
     printed.or_else(|e| if e.kind() == std::io::ErrorKind::BrokenPipe { Ok(()) } else { Err(e) })
 }

@@ -93,12 +93,8 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     };
     let listener = TcpListener::bind(args.listen).await.map_err(failed)?;
     let at = listener.local_addr().map_err(failed)?;
-    let scratch = Error::io("making a folder in", std::env::temp_dir());
-    let sources = paths
-        .iter()
-        .map(|path| WatchedDatabase::new(path))
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(scratch)?;
+    let sources: std::io::Result<Vec<_>> = paths.iter().map(|path| WatchedDatabase::new(path)).collect();
+    let sources = sources.map_err(Error::io("making a folder in", std::env::temp_dir()))?;
     let random = Error::io("reading", "/dev/urandom");
     let (reading, key) = Token::new().map_err(&random)?;
     let steering = args.control.then(Token::new).transpose().map_err(random)?;

@@ -9,15 +9,12 @@ use crate::plan::{check_placements, combinations, layout, located, placement, wi
 
 /// A single body of a spec, for commands about designs rather than trials.
 pub struct SpecBody {
-    /// Its layout.
     pub layout: Layout,
-    /// Limits of its designs.
     pub limits: Limits,
     /// Feasible designs; `None` if the trials of the sweep move the body in different ways.
     pub castable: Option<FeasibleSet>,
     /// The initial design; it may be infeasible.
     pub initial: Vec<f64>,
-    /// Clamped units.
     pub clamped: Vec<usize>,
     /// Units that are partly held.
     pub guided: Vec<usize>,

@@ -1,7 +1,6 @@
 //! `status`: state of trials and causes of failures, also during a run.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use metasense_schemas::reason::CANCELLED;
 use metasense_schemas::spec::Sweep;
@@ -132,7 +131,7 @@ async fn print_trial(reader: &mut Reader, hash: &str, format: Format) -> Result<
 /// Prints a trial of a spec, or the keys in which the nearest stored trial differs.
 async fn planned(db: &Path, trial: &PlannedTrial, format: Format) -> Result<Exit, Error> {
     let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
-    Reader::with_reader(db, async |reader| {
+    Reader::with_reader(Database::at(db).await?, async |reader| {
         let Some(nearest) = reader.nearest(&spec).await? else {
             return usage!("{} contains no trials", db.display());
         };
@@ -143,8 +142,7 @@ async fn planned(db: &Path, trial: &PlannedTrial, format: Format) -> Result<Exit
         say!("trial {} is not in {}", trial.hash, db.display());
         say!("nearest stored trial: {hash} ({state}); it differs in {} keys", differs.len());
         say_attempts(reader, &hash).await?;
-        let shown =
-            |value: &Option<Value>| value.as_ref().map_or(Value::Null, |value| json!(value.to_string()));
+        let shown = |value: &Option<Value>| value.as_ref().map_or(Value::Null, |v| json!(v.to_string()));
         let rows = differs.iter().map(|(key, [there, here])| row![key, shown(here), shown(there)]);
         print_rows(&Table::new("key here nearest", rows), format)?;
         Ok(Exit::Done)
@@ -244,8 +242,7 @@ fn only(folder: &Path, ending: &str) -> Option<PathBuf> {
 
 /// The most recently written database in results/, for a command that names none.
 pub(super) fn newest(command: &str) -> Result<PathBuf, Error> {
-    let written =
-        |path: &PathBuf| path.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
+    let written = |path: &PathBuf| path.metadata().and_then(|m| m.modified()).ok();
     let entries = std::fs::read_dir("results").into_iter().flatten().flatten().map(|entry| entry.path());
     let newest = entries.filter(|path| path.extension().is_some_and(|e| e == "sqlite")).max_by_key(written);
     newest.ok_or_else(|| Error::Usage(format!("no database in results/; pass one: metasense {command} DB")))

@@ -44,23 +44,8 @@ pub(super) struct Args {
     /// place. With rounds: one per place, and four for `slurm` and `hq`
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)), help_heading = "Shards")]
     shards: Option<u32>,
-    /// Cores per shard
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024), help_heading = "Nodes")]
-    cpus: u32,
-    /// Time limit of a shard: minutes, H:MM:SS or D-HH:MM:SS; by default 4:00:00. At the limit, Slurm queues an unfinished
-    /// shard again
-    #[arg(long, value_name = "TIME", value_parser = seconds, help_heading = "Nodes")]
-    time: Option<u64>,
-    /// Largest number of simultaneous shards (not for HyperQueue); for `local` by default as many as the cores allow
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024), help_heading = "Nodes")]
-    at_most: Option<u32>,
-    /// For `ssh`: a file with one host per line, followed by its number of simultaneous shards. All hosts must see the
-    /// folder under the same path
-    #[arg(long, value_name = "FILE", required_if_eq("scheduler", "ssh"), help_heading = "Nodes")]
-    hosts: Option<PathBuf>,
-    /// Prefix of the program on a node, in shell syntax: 'apptainer exec image.sif', or 'env TMPDIR=/scratch/$USER'
-    #[arg(long, value_name = "COMMAND", help_heading = "Nodes")]
-    prefix: Option<String>,
+    #[command(flatten)]
+    nodes: Nodes,
     /// Options for each shard's `run`, such as '--simd avx2 --copy-every 300'
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true, default_value = "")]
     run: String,
@@ -85,6 +70,29 @@ pub(super) struct Args {
     further: Vec<String>,
 }
 
+/// Where shards run, and how long.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Nodes")]
+struct Nodes {
+    /// Cores per shard
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    cpus: u32,
+    /// Time limit of a shard: minutes, H:MM:SS or D-HH:MM:SS; by default 4:00:00. At the limit, Slurm queues an unfinished
+    /// shard again
+    #[arg(long, value_name = "TIME", value_parser = seconds)]
+    time: Option<u64>,
+    /// Largest number of simultaneous shards (not for HyperQueue); for `local` by default as many as the cores allow
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    at_most: Option<u32>,
+    /// For `ssh`: a file with one host per line, followed by its number of simultaneous shards. All hosts must see the
+    /// folder under the same path
+    #[arg(long, value_name = "FILE", required_if_eq("scheduler", "ssh"))]
+    hosts: Option<PathBuf>,
+    /// Prefix of the program on a node, in shell syntax: 'apptainer exec image.sif', or 'env TMPDIR=/scratch/$USER'
+    #[arg(long, value_name = "COMMAND")]
+    prefix: Option<String>,
+}
+
 /// Default time limit of a shard (s).
 const LIMIT: u64 = 4 * 3600;
 /// Default number of shards per place, because places differ in speed.
@@ -105,8 +113,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let earlier_count = shards_of(&folder, &jobs);
     let out = args.out(&plan);
     let settled = if in_rounds { HashMap::new() } else { settled(&out).await? };
-    let is_settled =
-        |hash: &str| settled.get(hash).is_some_and(|has_failed| !(*has_failed && args.retry_failed));
+    let is_settled = |hash: &str| settled.get(hash).is_some_and(|failed| !(*failed && args.retry_failed));
     let left_out: Vec<PlannedTrial> = plan.trials.extract_if(.., |trial| is_settled(&trial.hash)).collect();
     cost::first_trains(&mut plan.trials);
     let shards = match (args.shards, earlier_count) {
@@ -119,7 +126,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         (asked, earlier_count) => asked.or(earlier_count).unwrap_or_else(|| match places.len() {
             0 if in_rounds => SHARDS_OF_ROUNDS,
-            0 => planned(&plan.trials, args.cpus, args.time.unwrap_or(LIMIT)),
+            0 => planned(&plan.trials, args.nodes.cpus, args.nodes.time.unwrap_or(LIMIT)),
             places if in_rounds => places as u32,
             places => (SHARDS_A_PLACE * places).min(plan.trials.len()).max(1) as u32,
         }),
@@ -207,20 +214,17 @@ async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
 }
 
 impl Args {
-    /// The folder of the shards.
     fn folder(&self, plan: &Plan) -> PathBuf {
         let named = || Path::new("results").join(format!("{}.shards", plan.spec.name));
         self.folder.clone().unwrap_or_else(named)
     }
 
-    /// The merged database.
     fn out(&self, plan: &Plan) -> PathBuf {
         self.out.clone().unwrap_or_else(|| plan.default_database())
     }
 
-    /// The submission of all shards.
     fn submission(&self, plan: &Plan, shards: u32, program: &Program) -> Result<Submission, Error> {
-        let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, self.cpus as usize) as u32;
+        let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, self.nodes.cpus as usize) as u32;
         let absolute = |path: &Path| std::path::absolute(path).map_err(Error::io("finding", path));
         let further = match self.further.iter().position(|word| word == "--") {
             Some(at) => [&self.further[..at], &self.further[at + 1..]],
@@ -229,21 +233,27 @@ impl Args {
         let [for_shards, for_merge] = further.map(<[String]>::to_vec);
         let scheduler = self.scheduler.scheduler();
         let most_index = scheduler.queue().map_or(Shard::MOST, QueueCommands::most_index);
-        let (cpus, seconds, grace) = (self.cpus, self.time.unwrap_or(LIMIT), plan.spec.run.grace);
+        let (cpus, seconds, grace) = (self.nodes.cpus, self.nodes.time.unwrap_or(LIMIT), plan.spec.run.grace);
         let again = self.retry_failed.then_some("--retry-failed");
         let folder = absolute(&self.folder(plan))?;
         let submission = Submission {
             scheduler,
             name: plan.spec.name.clone(),
             program: folder.join(&program.name),
-            prefix: self.prefix.clone(),
+            prefix: self.nodes.prefix.clone(),
             out: absolute(&self.out(plan))?,
             folder,
             shards,
             which: (1..=shards).collect(),
             limits: ShardLimits { cpus, threads, seconds, grace },
             merges: true,
-            queue: QueueOptions { cluster: None, at_most: self.at_most, for_shards, for_merge, most_index },
+            queue: QueueOptions {
+                cluster: None,
+                at_most: self.nodes.at_most,
+                for_shards,
+                for_merge,
+                most_index,
+            },
             run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
         };
         if let Some(unfit) = submission.unfit() {
@@ -270,9 +280,9 @@ impl Args {
         let scheduler = self.scheduler.scheduler();
         let for_merge = self.further.iter().any(|word| word == "--");
         let given = [
-            (SubmitOption::Time, "time", self.time.is_some()),
-            (SubmitOption::AtMost, "at-most", self.at_most.is_some()),
-            (SubmitOption::Hosts, "hosts", self.hosts.is_some()),
+            (SubmitOption::Time, "time", self.nodes.time.is_some()),
+            (SubmitOption::AtMost, "at-most", self.nodes.at_most.is_some()),
+            (SubmitOption::Hosts, "hosts", self.nodes.hosts.is_some()),
             (SubmitOption::Further, "further options", !self.further.is_empty()),
             (SubmitOption::FurtherForMerge, "further options after a second --", for_merge),
         ];
@@ -294,11 +304,14 @@ impl Args {
 
     /// Places for shards; none if a scheduler has a queue.
     fn places(&self) -> Result<Vec<HostSlot>, Error> {
-        let most = self.at_most.unwrap_or(u32::MAX) as usize;
-        match (self.scheduler, &self.hosts) {
+        let most = self.nodes.at_most.unwrap_or(u32::MAX) as usize;
+        match (self.scheduler, &self.nodes.hosts) {
             (SchedulerName::Local, _) => {
                 let cores = super::cores();
-                let count = self.at_most.map_or((cores / self.cpus as usize).max(1), |most| most as usize);
+                let count = self
+                    .nodes
+                    .at_most
+                    .map_or((cores / self.nodes.cpus as usize).max(1), |most| most as usize);
                 Ok(vec![None; count])
             }
             (SchedulerName::Ssh, Some(file)) => {
@@ -420,8 +433,7 @@ fn prepare(
 fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     let Submission { folder, shards, .. } = submission;
     let (scheduler, job) = (submission.scheduler.name().into(), files::own_mark());
-    let (name, cluster, merge_job) = (None, None, None);
-    let job = Job { scheduler, job, name, cluster, merge_job, shards: *shards, offset: 0 };
+    let job = Job { scheduler, job, shards: *shards, ..Job::default() };
     notes.note(&job).map_err(Error::io("noting what is run in", folder))?;
     say!("metasense status --folder {} shows the shards; Ctrl-C stops all of them", files::quoted(folder));
     Ok(())

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use metasense_schemas::record::{BodyRecord, Checkpoint, NetworkRecord, StepRecord};
+use metasense_schemas::record::{BodyRecord, Checkpoint, NetworkRecord, StepRecord, StepSeconds};
 use metasense_worker::run::{LoopControl, NoResult, ObserveTrial, pool, run_trial};
 use serde_json::json;
 
@@ -94,20 +94,13 @@ impl ObserveTrial for Steps {
 
     fn step(&mut self, record: StepRecord, _: Checkpoint) -> LoopControl {
         let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.4}"));
-        let s = record.seconds;
+        let [test, training, moved] = [record.error_test, record.error_train, record.step_length].map(number);
+        let StepSeconds { simulate, train, differentiate, implicit, project, .. } = record.seconds;
+        let (step, projection) = (record.step, record.projection);
         say!(
-            "step {:>4}: test error {} %, training error {} %, moved {} mm, {}; \
-             simulate {:.2} s, train {:.2} s, differentiate {:.2} s, implicit {:.2} s, project {:.3} s",
-            record.step,
-            number(record.error_test),
-            number(record.error_train),
-            number(record.step_length),
-            record.projection,
-            s.simulate,
-            s.train,
-            s.differentiate,
-            s.implicit,
-            s.project,
+            "step {step:>4}: test error {test} %, training error {training} %, moved {moved} mm, {projection}; \
+             simulate {simulate:.2} s, train {train:.2} s, differentiate {differentiate:.2} s, \
+             implicit {implicit:.2} s, project {project:.3} s"
         );
         LoopControl::Continue
     }

@@ -77,10 +77,8 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let Some(path) = &self.path else { return Ok(()) };
         for path in [path.with_extension("new"), path.clone()] {
             match std::fs::remove_file(&path) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(Error::io("removing", path)(e));
-                }
-                _ => {}
+                Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
+                removed => removed.map_err(Error::io("removing", &path))?,
             }
         }
         Ok(())

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use metasense_lab::verify::{self, ComparedQuantity};
 use metasense_worker::run::Pool;
-use serde_json::Value;
 
 use super::named::Spec;
 use super::{Error, Format, cores, print_rows};
@@ -32,14 +31,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     } else {
         verify::cases(&args.cases, &pool).map_err(|e| Error::Usage(e.to_string()))?
     };
-    let columns = "case quantity error tolerance pass note";
-    print_rows(&Table::new(columns, rows.iter().map(values)), Format::Table)?;
+    let values = |r: &ComparedQuantity| row![r.case, r.quantity, r.error, r.tolerance, r.pass, r.note];
+    let table = Table::new("case quantity error tolerance pass note", rows.iter().map(values));
+    print_rows(&table, Format::Table)?;
     let failed = rows.iter().filter(|row| !row.pass).count();
     say!("{} of {} quantities pass", rows.len() - failed, rows.len());
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
-}
-
-fn values(row: &ComparedQuantity) -> Vec<Value> {
-    let ComparedQuantity { case, quantity, error, tolerance, pass, note } = row;
-    row![case, quantity, error, tolerance, pass, note]
 }

@@ -33,11 +33,6 @@ const TOLERANCE: f64 = 0.05;
 const THINNEST: f64 = 1.0;
 const SLENDEREST: f64 = 0.1;
 
-/// A mould of the body alone.
-fn bare(width: f64) -> Mould {
-    Mould { width, height: 1.0, wall: 1.0, clearance: 0.0, pocket: None }
-}
-
 impl CastMaterial {
     /// For a body of this height.
     ///
@@ -61,7 +56,8 @@ impl CastMaterial {
     }
 
     fn outline(&self, drawing: &Drawing) -> Result<Outline, NoOutline> {
-        Outline::new(drawing, &bare(self.ligament.width))
+        let (width, pocket) = (self.ligament.width, None);
+        Outline::new(drawing, &Mould { width, height: 1.0, wall: 1.0, clearance: 0.0, pocket })
     }
 
     /// Requirements for a cast to move as simulated, one sentence each.

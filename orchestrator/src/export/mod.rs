@@ -44,17 +44,11 @@ pub(crate) fn bands(stored: &StoredTrial, replay: &Replay, body: usize) -> Vec<(
 const SIGNAL_TOLERANCE: f64 = 1e-4;
 
 /// Simulates both bodies of a trial again under all its samples; signals are accurate to 1e-4 or better.
-///
-/// # Errors
-/// If they cannot be simulated again.
 pub fn replays(stored: &StoredTrial, threads: usize) -> Result<[Replay; 2], StoreError> {
     Ok([replay_of(stored, 0, threads)?, replay_of(stored, 1, threads)?])
 }
 
 /// Simulates one body again, with the tolerance of exports.
-///
-/// # Errors
-/// If it cannot be simulated again.
 pub fn replay_of(stored: &StoredTrial, body: usize, threads: usize) -> Result<Replay, StoreError> {
     let (design, weights) = (&stored.designs[body], &stored.weights[body]);
     let mut spec = stored.specs[body].clone();

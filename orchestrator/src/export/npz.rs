@@ -5,7 +5,7 @@
 
 use std::io::{Cursor, Write};
 
-use metasense_lab::replay::{Drawing, LinearReplay, Replay, drawing, linear};
+use metasense_lab::replay::{drawing, linear};
 use metasense_schemas::spec::{Brain, BrainKind, Network};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
@@ -16,9 +16,6 @@ use crate::reader::StoredTrial;
 use crate::store::{StoreError, npy_bytes};
 
 /// The archive of a trial, simulated again; `note` receives a message if no linear decoder can be fitted.
-///
-/// # Errors
-/// If its bodies cannot be simulated again.
 pub fn of_trial(
     stored: &StoredTrial,
     threads: usize,
@@ -34,16 +31,6 @@ pub fn of_trial(
         }
     };
     let linear = [read(0), read(1)];
-    Ok(archive(stored, &drawings, &replays, &linear))
-}
-
-/// The archive; `drawings`, `replays` and `linear` are of the initial and of the trained body.
-pub fn archive(
-    stored: &StoredTrial,
-    drawings: &[Drawing; 2],
-    replays: &[Replay; 2],
-    linear: &[Option<LinearReplay>; 2],
-) -> Vec<u8> {
     let (panels, instants) = (stored.spec().panel_units.len(), stored.spec().time.samples);
     let inputs = stored.spec().signals();
     let samples = replays[0].forces.samples;
@@ -102,7 +89,7 @@ pub fn archive(
     zip.array("force_mean", &[panels], &replay.force_mean);
     zip.array("force_std", &[panels], &replay.force_deviation);
     zip.file("scene.npy", &text_array(&serde_json::to_string(stored.spec()).expect("a trial is JSON")));
-    zip.finish()
+    Ok(zip.finish())
 }
 
 /// Splits the flat weights b1 … bn, w1 … wn into parts with name and shape (kernel, in, out).

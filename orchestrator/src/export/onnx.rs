@@ -21,9 +21,6 @@ use crate::store::StoreError;
 const FORMAT: (i64, i64) = (7, 13);
 
 /// The encoded graph of a body's decoder.
-///
-/// # Errors
-/// If the trial cannot be computed again.
 pub fn onnx(
     stored: &StoredTrial,
     body: usize,

@@ -48,40 +48,24 @@ pub struct Outline {
 
 /// Why there is no outline.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum NoOutline {
-    /// The body is not one piece.
     #[error(
         "the body consists of {0} separate pieces and cannot be cast in one mould; --format svg shows them"
     )]
     Apart(usize),
-    /// Ligaments fill a void.
     #[error(
         "ligaments {width:.2} mm wide, the width that body.stiffness implies, leave {left} of the body's {voids} voids; reduce \
          body.stiffness.bend (or body.material.ligament_width) and train again"
     )]
-    TooWide {
-        /// Width (mm).
-        width: f64,
-        /// Voids of the outline.
-        left: usize,
-        /// Voids between units and ligaments without width.
-        voids: usize,
-    },
-    /// A pocket leaves too little of its unit.
+    TooWide { width: f64, left: usize, voids: usize },
+    /// `left`: smallest distance of a corner to an edge (mm), below 0 outside.
     #[error(
         "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; a pocket {:.1} mm smaller in length and width would fit, \
          or a body of larger units (body.spacing)",
         2.0 * (POCKET_WALL - left)
     )]
-    Pocket {
-        /// Its sides (mm).
-        size: String,
-        /// Smallest distance of a corner to an edge (mm), below 0 outside.
-        left: f64,
-        /// The unit.
-        unit: usize,
-    },
-    /// The clearance closes or divides a void.
+    Pocket { size: String, left: f64, unit: usize },
     #[error("a clearance of {0} mm closes or divides a void of the body; reduce clearance in --mould")]
     Closed(f64),
 }

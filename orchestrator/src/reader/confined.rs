@@ -75,10 +75,7 @@ impl Reader {
         limits: AnswerLimits,
     ) -> Result<(T, Option<String>), StoreError> {
         let begun = Instant::now();
-        let handle = self.connected.connection.lock_handle().await;
-        let mut handle = handle.map_err(|source| StoreError::sql(&self.path, "querying", source))?;
-        handle.set_progress_handler(OPERATIONS, move || begun.elapsed() < limits.time);
-        drop(handle);
+        self.ask_while(OPERATIONS, move || begun.elapsed() < limits.time).await?;
         let late = || format!("it took more than {} s", limits.time.as_secs_f64());
         let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
         let mut bytes = 0;

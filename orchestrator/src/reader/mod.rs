@@ -169,9 +169,18 @@ impl Reader {
     /// # Errors
     /// If SQLite fails.
     pub async fn stop_when(&mut self, stop: Arc<AtomicBool>) -> Result<(), StoreError> {
+        self.ask_while(OPERATIONS, move || !stop.load(Ordering::Relaxed)).await
+    }
+
+    /// Makes statements fail once `goes_on` is false, which is called after so many operations.
+    async fn ask_while(
+        &mut self,
+        operations: i32,
+        goes_on: impl FnMut() -> bool + Send + 'static,
+    ) -> Result<(), StoreError> {
         let handle = self.connected.connection.lock_handle().await;
         let mut handle = handle.map_err(|source| StoreError::sql(&self.path, "querying", source))?;
-        handle.set_progress_handler(OPERATIONS, move || !stop.load(Ordering::Relaxed));
+        handle.set_progress_handler(operations, goes_on);
         Ok(())
     }
 

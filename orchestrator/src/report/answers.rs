@@ -116,8 +116,7 @@ fn means(trials: &[&Trial], error: impl Fn(&Trial, BodyState) -> Option<f64>) ->
 
 fn long_answer(trials: &[&Trial]) -> Option<Answer> {
     let iterations = trials.iter().filter_map(|t| t.long_iterations()).max()?;
-    let trials: Vec<&Trial> =
-        trials.iter().filter(|t| t.long_iterations() == Some(iterations)).copied().collect();
+    let trials: Vec<_> = trials.iter().filter(|t| t.long_iterations() == Some(iterations)).copied().collect();
     let ratio = paired::long_ratio(&trials, Set::Holdout)?;
     let [initial, optimised] = means(&trials, |t, body| t.long_error(body, Set::Holdout));
     Some(Answer::new(
@@ -239,8 +238,7 @@ fn sensors(group: &Group, terms: DecisionTerms) -> Vec<Answer> {
         let text = match (f.fewest, f.optimised_error) {
             (Some(m), Some(error)) => {
                 let least = if m == f.most { ", but not with fewer" } else { "" };
-                let votes =
-                    f.share.map_or(f.over.clone(), |share| format!("{:.0} % of votes", 100.0 * share));
+                let votes = f.share.map_or(f.over.clone(), |part| format!("{:.0} % of votes", 100.0 * part));
                 format!(
                     "the trained body with M = {m} ({} %) has less error than {initial}{least} ({votes})",
                     number(error)

@@ -23,13 +23,10 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let shown = |read: &&DecoderErrors| trained_names.contains(&read.trained_with.as_str());
     for (label, reads) in drawn.iter().take(MOST_SETTINGS) {
         let linear: Vec<&DecoderErrors> = reads.iter().filter(|read| !read.own && shown(read)).collect();
-        let networks: Vec<&DecoderErrors> =
-            reads.iter().filter(|read| read.own && read.decoder != "linear" && shown(read)).collect();
+        let networks: Vec<_> = reads.iter().filter(|r| r.own && r.decoder != "linear" && shown(r)).collect();
         let errors = |reads: &[&DecoderErrors]| reads.iter().flat_map(|r| r.errors).collect::<Vec<f64>>();
-        let even: Vec<&DecoderErrors> =
-            linear.iter().filter(|r| r.memory[0] == r.memory[1]).copied().collect();
-        let past: Vec<&DecoderErrors> =
-            linear.iter().filter(|r| r.memory[0] > r.memory[1] || r.whole).copied().collect();
+        let even: Vec<_> = linear.iter().filter(|r| r.memory[0] == r.memory[1]).copied().collect();
+        let past: Vec<_> = linear.iter().filter(|r| r.memory[0] > r.memory[1] || r.whole).copied().collect();
         let reach = |r: &DecoderErrors| r.memory[0].max(r.memory[1]).max(1e-4);
         let all = [even.clone(), networks.clone()].concat();
         let x = Axis::new("memory, each way (s)", Scale::Log, all.iter().map(|r| reach(r)));
@@ -73,8 +70,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
 
 fn curves(plot: &mut Plot, reads: &[&DecoderErrors], with: &[&str], x: impl Fn(&DecoderErrors) -> f64) {
     for (n, trained_with) in with.iter().enumerate() {
-        let mut own: Vec<&&DecoderErrors> =
-            reads.iter().filter(|r| r.trained_with == *trained_with).collect();
+        let mut own: Vec<_> = reads.iter().filter(|r| r.trained_with == *trained_with).collect();
         own.sort_by(|a, b| x(a).total_cmp(&x(b)));
         for body in BodyState::ALL {
             // the initial body does not depend on the decoder in training

@@ -116,15 +116,13 @@ fn brain(by: CastDecoder) -> String {
         CastDecoder::NetworkCasts => "one network for all casts".into(),
         CastDecoder::Nominal => "the linear decoder of the body as designed".into(),
         CastDecoder::Casts => "one linear decoder for all casts".into(),
-        CastDecoder::Records(records) => {
-            format!("a linear decoder fitted to {records} records of each cast")
-        }
+        CastDecoder::Records(n) => format!("a linear decoder fitted to {n} records of each cast"),
         CastDecoder::Inverse => format!("the model of the design, inverted ({})", subset_note()),
-        CastDecoder::TwinLinear(records) => {
-            format!("a linear decoder fitted to a twin, calibrated on {records} records of each cast")
+        CastDecoder::TwinLinear(n) => {
+            format!("a linear decoder fitted to a twin, calibrated on {n} records of each cast")
         }
-        CastDecoder::Twin(records) => {
-            format!("a twin calibrated on {records} records of each cast, inverted ({})", subset_note())
+        CastDecoder::Twin(n) => {
+            format!("a twin calibrated on {n} records of each cast, inverted ({})", subset_note())
         }
     }
 }

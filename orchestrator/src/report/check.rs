@@ -4,7 +4,7 @@ use std::path::Path;
 
 use maud::html;
 use metasense_lab::check::{Checked, Looked, Severity};
-use metasense_lab::modes::responses;
+use metasense_lab::modes::{Mode, responses};
 use metasense_schemas::spec::TrialSpec;
 use serde_json::Value;
 
@@ -60,9 +60,7 @@ pub fn rings(checked: &Checked) -> Table {
         let near = modes.min_by(|a, b| far(a.1.frequency()).total_cmp(&far(b.1.frequency())));
         let near = near.filter(|(_, mode)| far(mode.frequency()) < NEAR);
         let shown = |value: Option<f64>| value.map_or(Value::Null, |value| digits(value, 3).into());
-        let mode_value = |value: fn(&metasense_lab::modes::Mode) -> Option<f64>| {
-            shown(near.and_then(|(_, mode)| value(mode)))
-        };
+        let mode_value = |value: fn(&Mode) -> Option<f64>| shown(near.and_then(|(_, mode)| value(mode)));
         row![
             shown(Some(*frequency)),
             shown(Some(*damping)),
@@ -70,7 +68,7 @@ pub fn rings(checked: &Checked) -> Table {
             near.map(|(n, _)| n + 1),
             mode_value(|mode| Some(mode.frequency())),
             mode_value(|mode| Some(mode.damping_ratio())),
-            mode_value(metasense_lab::modes::Mode::decay_time),
+            mode_value(Mode::decay_time),
             shown(near.map(|(_, mode)| frequency / mode.frequency())),
         ]
     };
@@ -183,9 +181,8 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
             plot.line(&format!("{} dashed", SERIES[k % SERIES.len()]), line(&|n| of_model(n, k)));
             plot.line(SERIES[k % SERIES.len()], line(&|n| of.get(n).copied()));
             let coherent = |n: usize| spectra.coherence.as_ref().and_then(|of| of[c].get(n).copied());
-            rows.extend(
-                (0..of.len()).map(|n| row![name, k, frequencies[n], of[n], of_model(n, k), coherent(n)]),
-            );
+            let row = |n: usize| row![name, k, frequencies[n], of[n], of_model(n, k), coherent(n)];
+            rows.extend((0..of.len()).map(row));
         }
         pictures.push(plot.picture());
     }

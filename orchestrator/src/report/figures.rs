@@ -43,13 +43,8 @@ fn sensors_axis(trials: &[&Trial]) -> Axis {
 
 /// Error of the trained body against that of the initial body, one dot per trial.
 pub fn pairs(trials: &[Trial]) -> Option<Figure> {
-    let pair = |t| {
-        Some((
-            t,
-            Trial::error(t, BodyState::Initial, Set::Holdout)?,
-            t.error(BodyState::Optimised, Set::Holdout)?,
-        ))
-    };
+    let error = |t: &Trial, body| t.error(body, Set::Holdout);
+    let pair = |t| Some((t, error(t, BodyState::Initial)?, error(t, BodyState::Optimised)?));
     let points: Vec<(&Trial, f64, f64)> = trials.iter().filter_map(pair).collect();
     if points.is_empty() {
         return None;

@@ -47,9 +47,6 @@ fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
 
 /// Reads all finished trials, ordered by setting. Omits trials that judge a search's designs on fresh seeds, because they train no
 /// body. Rows are processed as they arrive; trials keep only the steps and points that the analysis needs.
-///
-/// # Errors
-/// If the database cannot be read, or contains data that this program cannot read.
 pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreError> {
     let (mut trials, mut places) = (Vec::new(), HashMap::new());
     let mut settings = SharedSettings::default();
@@ -221,8 +218,7 @@ impl Loader<'_> {
         let mut waiting = PendingCurves::default();
         self.each(&sql, |trial, row| {
             let name = row.text("name").trim_start_matches(prefix);
-            let numbered =
-                name.rsplit_once('_').and_then(|(b, n)| Some((body_named(b)?, n.parse::<usize>().ok()?)));
+            let numbered = name.rsplit_once('_').and_then(|(b, n)| Some((body_named(b)?, n.parse().ok()?)));
             let Some((body, network)) = numbered else { return Ok(()) };
             let losses = row.array(&trial.hash).values::<f32>()?;
             let curve: Vec<CurvePoint> =
@@ -273,8 +269,7 @@ impl Loader<'_> {
              GROUP BY n.trial_id, n.body";
         self.each(sql, |trial, row| {
             if let Some(body) = body_named(row.text("body")) {
-                trial.long_errors[body as usize] =
-                    ["test", "holdout", "median"].map(|column| row.number(column));
+                trial.long_errors[body as usize] = ["test", "holdout", "median"].map(|key| row.number(key));
             }
             Ok(())
         })
@@ -373,9 +368,6 @@ fn curve_of(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Curve
 }
 
 /// Reads all data of a report. `trial` is the trial to replay, by its hash or the beginning of it.
-///
-/// # Errors
-/// If the database cannot be read, or lacks data of the trial.
 pub async fn story(
     reader: &mut Reader,
     trial: Option<&str>,
@@ -397,9 +389,6 @@ pub async fn story(
 }
 
 /// The verdicts of a report in words, without the report.
-///
-/// # Errors
-/// If the database cannot be read.
 pub async fn verdicts(
     reader: &mut Reader,
     trials: &[Trial],

@@ -33,9 +33,6 @@ pub fn row(n: usize, mode: &Mode) -> Vec<Value> {
 pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_time";
 
 /// The slowest modes of a trial's two bodies.
-///
-/// # Errors
-/// If the modes of a body cannot be computed.
 pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result<Figure, NoResult> {
     let frame = frame(drawings);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
@@ -69,9 +66,6 @@ fn swinging(sketch: &Sketch, frame: ViewBox, mode: &Mode, title: &str) -> Pictur
 }
 
 /// Pictures of modes of one body, with their legend.
-///
-/// # Errors
-/// If the spec is invalid.
 pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<Picture>, Legend), NoResult> {
     let sketch = sketch(&drawing(trial, design)?, &[]);
     let frame = frame([&sketch]);

@@ -63,8 +63,7 @@ fn judged(body: &str, by: SignalSource, evaluated: &Evaluated, agreement: Option
     let of_fold = |fold: usize| -> Vec<f64> {
         folds.iter().zip(&errors).filter(|(f, _)| **f == fold).filter_map(|(_, e)| *e).collect()
     };
-    let sizes: Vec<f64> =
-        (0..count).map(|fold| folds.iter().filter(|f| **f == fold).count() as f64).collect();
+    let sizes: Vec<_> = (0..count).map(|fold| folds.iter().filter(|f| **f == fold).count() as f64).collect();
     let networks = || progress.iter().flat_map(|networks| networks.iter().zip(&sizes));
     let milestones = networks().map(|(curve, _)| curve.len()).min().unwrap_or(0);
     let at = |i: usize| -> CurvePoint {

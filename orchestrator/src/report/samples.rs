@@ -33,9 +33,6 @@ pub struct Replayed {
 
 impl Replayed {
     /// Simulates a trial again.
-    ///
-    /// # Errors
-    /// If the trial cannot be simulated.
     pub fn new(stored: &StoredTrial, threads: usize) -> Result<Self, NoResult> {
         let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
         let again =
@@ -53,9 +50,6 @@ impl Replayed {
 
     /// Draws the bodies, a sample, all test samples and the wave. Without a sample: four samples, and the wave of the one with the
     /// greatest impulse.
-    ///
-    /// # Errors
-    /// If the wave cannot be simulated.
     pub fn figures(&self, sample: Option<usize>) -> Result<Vec<Figure>, NoResult> {
         let (stored, replays) = (&self.stored, &self.replays);
         let sample = sample.filter(|sample| self.test.contains(sample));

@@ -53,9 +53,6 @@ pub const COLUMNS: [&str; 6] = [
 
 impl SearchState {
     /// Reads the state of a search.
-    ///
-    /// # Errors
-    /// If the database cannot be read.
     pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
         let data = SearchData::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
@@ -318,9 +315,6 @@ pub struct SearchData {
 
 impl SearchData {
     /// Reads the data; adds trained bodies to `bodies` for later calls.
-    ///
-    /// # Errors
-    /// If the database cannot be read.
     pub async fn of(
         reader: &mut Reader,
         space: &Space,
@@ -346,8 +340,7 @@ impl SearchData {
         }
         let spent = reader.spent(&plan.source.text).await?;
         let taken = |trial: &PlannedTrial| spent.get(&trial.hash).and_then(|(_, kept)| *kept);
-        let finished: Vec<&PlannedTrial> =
-            plan.trials.iter().filter(|trial| taken(trial).is_some()).collect();
+        let finished: Vec<_> = plan.trials.iter().filter(|trial| taken(trial).is_some()).collect();
         let seconds: f64 = finished.iter().filter_map(|trial| taken(trial)).sum();
         let pace = if finished.is_empty() { 1.0 } else { seconds / cost::total(finished) };
         let seconds = spent.values().fold(0.0, |all, (seconds, _)| all + seconds);

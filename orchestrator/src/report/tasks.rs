@@ -93,9 +93,8 @@ impl Setting<'_> {
 }
 
 fn told(training: &str, found: &Ratio) -> String {
-    let interval =
-        found.interval.map(|i| format!(" (95 % interval {} to {})", number(i.low), number(i.high)));
-    format!("trained for {training}: {} times{}", number(found.ratio), interval.unwrap_or_default())
+    let range = found.interval.map(|i| format!(" (95 % interval {} to {})", number(i.low), number(i.high)));
+    format!("trained for {training}: {} times{}", number(found.ratio), range.unwrap_or_default())
 }
 
 /// Gain per task and training, transfer matrix, confusion of classes, mean error of positions.
@@ -144,8 +143,7 @@ fn details(trials: &[&Trial]) -> Vec<Picture> {
         let is_own = |read: &TaskReading| read.task == task && read.body == body.name();
         // of bodies trained for this task, if there are any
         let specialised = readings().any(|(trial, read)| read.task == task && trained_for(trial) == task);
-        let own =
-            readings().filter(|(trial, read)| is_own(read) && (!specialised || trained_for(trial) == task));
+        let own = readings().filter(|(t, read)| is_own(read) && (!specialised || trained_for(t) == task));
         own.map(|(_, read)| read).collect()
     };
     let tasks = in_order(readings().map(|(_, read)| &read.task[..]));
@@ -159,8 +157,7 @@ fn details(trials: &[&Trial]) -> Vec<Picture> {
             return vec![means(&title, ("panel", u32::to_string), &both, by_panel)];
         }
         // a mean probability of 1 belongs to the last tenth
-        let tenth =
-            |[p, frequency, count]: &[f64; 3]| ((10.0 * p).min(9.0) as u32, 100.0 * frequency, *count);
+        let tenth = |[p, part, count]: &[f64; 3]| ((10.0 * p).min(9.0) as u32, 100.0 * part, *count);
         let by_tenth = |read: &TaskReading| read.reliability.iter().map(tenth).collect();
         let title = format!("{label}: {task}, frequency of a class with this probability (%)");
         let range = |tenth: &u32| format!("{} to {}", 10 * tenth, 10 * (tenth + 1));

@@ -39,7 +39,10 @@ pub async fn guard(State(served): State<Arc<ServerState>>, request: Request, nex
     let uri = request.uri();
     let (base, up) = (served.address.base(), path_to_root(uri.path()));
     let refusal = match uri.path() == base {
-        true => Some(Redirect::to(&slashed(base, uri.query())).into_response()),
+        true => {
+            let query = uri.query().map_or(String::new(), |query| format!("?{query}"));
+            Some(Redirect::to(&format!("{base}/{query}")).into_response())
+        }
         false => refused(&served, &request).map(IntoResponse::into_response),
     };
     let no_place = || {
@@ -61,11 +64,6 @@ pub async fn guard(State(served): State<Arc<ServerState>>, request: Request, nex
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response
-}
-
-/// The address of the first page behind a path.
-fn slashed(base: &str, query: Option<&str>) -> String {
-    format!("{base}/{}", query.map_or(String::new(), |query| format!("?{query}")))
 }
 
 fn refused(served: &ServerState, request: &Request) -> Option<(StatusCode, &'static str)> {
@@ -116,7 +114,6 @@ pub struct WriteTimeout<S> {
 }
 
 impl<S> WriteTimeout<S> {
-    /// Wraps a connection.
     pub fn new(inner: S, patience: Duration) -> Self {
         Self { inner, patience, waits: None }
     }

@@ -17,7 +17,6 @@ const GRACE: Duration = Duration::from_millis(200);
 /// Maximum number of connections with the key.
 const KNOWN: usize = 64;
 
-/// All connections.
 #[derive(Debug)]
 pub struct ConnectionLimiter {
     /// Connections without the key, the oldest first.
@@ -32,7 +31,6 @@ struct KeylessConnection {
     task: AbortHandle,
 }
 
-/// A connection.
 #[derive(Debug)]
 pub struct ClientConnection {
     number: u64,
@@ -41,7 +39,6 @@ pub struct ClientConnection {
 }
 
 impl ConnectionLimiter {
-    /// A lobby without connections.
     pub fn new() -> Arc<Self> {
         Arc::new(Self { strangers: Mutex::default(), places: Arc::new(Semaphore::new(KNOWN)) })
     }

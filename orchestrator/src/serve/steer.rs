@@ -70,7 +70,6 @@ fn panel(
     }
 }
 
-/// Controls of a run.
 pub fn of_run(served: &ServerState, at: &str) -> Markup {
     let buttons = [
         ("pause", "Pause the run"),

@@ -17,9 +17,6 @@ pub struct Token(blake3::Hash);
 
 impl Token {
     /// A new token, and its text.
-    ///
-    /// # Errors
-    /// If the system gives no random bytes.
     pub fn new() -> io::Result<(Self, String)> {
         let mut bytes = [0; 16];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;

@@ -1,6 +1,6 @@
 //! All trials of a database in memory, for sorting and filtering; a read takes only those that have changed.
 
-use std::cmp::Ordering;
+use std::cmp::{Ordering, Reverse};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 use std::path::Path;
@@ -53,18 +53,14 @@ const MOST_VALUES: usize = 12;
 /// States of a trial.
 const STATES: [&str; 4] = ["pending", "running", "done", "failed"];
 
-/// A trial.
 #[derive(Debug, Clone)]
 pub struct TrialRow {
-    /// Its hash.
     pub hash: String,
     /// `pending`, `running`, `done` or `failed`.
     pub state: String,
-    /// Why it failed.
     pub reason: String,
     /// Values of [`NUMBERS`]; NaN if there is none.
     pub numbers: [f64; NUMBERS.len()],
-    /// All settings.
     pub setting: Setting,
 }
 
@@ -128,9 +124,6 @@ pub struct Keeper {
 
 impl Keeper {
     /// Reads what has changed.
-    ///
-    /// # Errors
-    /// If the database cannot be read.
     pub async fn look(&mut self, reader: &mut Reader) -> Result<Trials, StoreError> {
         // new trials may reuse the ids of removed ones
         let (mut known, mut others) = (0, false);
@@ -177,8 +170,7 @@ impl Keeper {
                     // an invalid spec has no keys
                     None => self.settings.of(&serde_json::from_str(row.text("spec")).unwrap_or_default()),
                 };
-                let [hash, state, reason] =
-                    ["hash", "state", "reason"].map(|column| row.text(column).to_owned());
+                let [hash, state, reason] = ["hash", "state", "reason"].map(|key| row.text(key).to_owned());
                 let numbers = NUMBERS.map(|(name, _)| row.number(name).unwrap_or(f64::NAN));
                 let trial = Arc::new(TrialRow { hash, state, reason, numbers, setting });
                 match place {
@@ -256,8 +248,7 @@ impl Term {
     fn new(text: &str) -> Result<Self, String> {
         let none = || format!("`{text}` is not a condition; a condition is, for instance, `M<=3`");
         let relations = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
-        let (at, relation) =
-            relations.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
+        let (at, relation) = relations.min_by_key(|(at, r)| (*at, Reverse(r.len()))).ok_or_else(none)?;
         let (key, value) = (text[..at].trim(), text[at + relation.len()..].trim());
         let bare = value.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
         match key.is_empty() || bare.unwrap_or(value).contains('"') {
@@ -318,9 +309,6 @@ impl fmt::Display for Term {
 
 impl Trials {
     /// All trials of a database.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub async fn of(db: &Path) -> Result<Self, StoreError> {
         Reader::with_reader(db, async |reader| Keeper::default().look(reader).await).await
     }
@@ -369,25 +357,20 @@ impl Trials {
         if key == "state" && term.is_equality() && !STATES.contains(&value.as_str()) {
             return Err(format!("no trial can be `{value}`: the states are {}", STATES.join(", ")));
         }
-        let cells: Vec<Value> =
-            self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null()).collect();
+        let cells: Vec<Value> = self.rows.iter().map(|row| row.cell(key)).filter(|c| !c.is_null()).collect();
         let numbers = !cells.is_empty() && cells.iter().all(Value::is_number);
-        match term.relation {
-            "~" if value.is_empty() => {
-                Err(format!("`{term}`: every text contains an empty text; pass a part of the text"))
+        let why: String = match term.relation {
+            "~" if value.is_empty() => "every text contains an empty text; pass a part of the text".into(),
+            "~" if numbers => format!("{key} is a number; use a comparison instead of ~"),
+            "~" => return Ok(()),
+            "=" | "!=" if value.is_empty() => return Ok(()),
+            _ if numbers && term.number().is_none() => format!("{key} is a number, but `{value}` is not"),
+            "<" | ">" | "<=" | ">=" if !numbers && !cells.is_empty() => {
+                format!("{key} is not a number in all trials; =, != and ~ compare texts")
             }
-            "~" if numbers => Err(format!("`{term}`: {key} is a number; use a comparison instead of ~")),
-            "=" | "!=" if value.is_empty() => Ok(()),
-            "~" => Ok(()),
-            _ if numbers && term.number().is_none() => {
-                Err(format!("`{term}`: {key} is a number, but `{value}` is not"))
-            }
-            "=" | "!=" => Ok(()),
-            _ if !numbers && !cells.is_empty() => {
-                Err(format!("`{term}`: {key} is not a number in all trials; =, != and ~ compare texts"))
-            }
-            _ => Ok(()),
-        }
+            _ => return Ok(()),
+        };
+        Err(format!("`{term}`: {why}"))
     }
 
     /// Trials that meet the conditions in a text, sorted by a key; for an invalid condition, no trials and the reason.
@@ -405,8 +388,7 @@ impl Trials {
             self.rows.iter().filter(|row| terms.iter().all(|term| term.holds(row))).collect();
         let (key, down) = sort.strip_prefix('-').map_or((sort, false), |key| (key, true));
         if !key.is_empty() {
-            let mut keyed: Vec<(Value, &Arc<TrialRow>)> =
-                found.into_iter().map(|row| (row.cell(key), row)).collect();
+            let mut keyed: Vec<(Value, _)> = found.into_iter().map(|row| (row.cell(key), row)).collect();
             let forward = |a: &Value, b: &Value| !down || a.is_null() || b.is_null();
             keyed.sort_by(|(a, _), (b, _)| if forward(a, b) { order(a, b) } else { order(b, a) });
             found = keyed.into_iter().map(|pair| pair.1).collect();

@@ -14,7 +14,7 @@ const ATTEMPTS: usize = 20;
 const PAUSE: Duration = Duration::from_millis(10);
 
 /// Excludes other writers from a file while the handle exists; `create`: creates a missing file.
-/// Fails with `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not a regular file.
+/// Fails with `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not regular.
 pub(crate) fn lock(path: &Path, create: bool) -> Result<File> {
     let unwritable = |source| StoreError::Unwritable(path.to_owned(), source);
     for attempt in 0..ATTEMPTS {

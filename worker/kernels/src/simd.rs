@@ -42,10 +42,6 @@ impl Width {
 
     /// `"baseline"`, `"avx2"` or `"avx512"`.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Baseline => "baseline",
-            Self::Avx2 => "avx2",
-            Self::Avx512 => "avx512",
-        }
+        ["baseline", "avx2", "avx512"][self as usize]
     }
 }

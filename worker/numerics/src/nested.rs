@@ -4,8 +4,9 @@
 //! A(α) = signals of the body α          β*(A) = argmin L_train(β, A)
 //! g = dL/dα at (α, β*)                  α ← Π(α − Adam(g)),  Π: nearest feasible design
 //! ```
-//! The [`Protocol`] sets how far β is trained and which loss moves the body. Searches without gradients serve as baselines.
-//! Afterwards, fresh networks are trained on the initial and the best body and tested on the held-out set, which nothing else uses.
+//! The [protocol](crate::trial::TrainingProtocol) sets how far β is trained and which loss moves the body. Searches without
+//! gradients serve as baselines. Afterwards, fresh networks are trained on the initial and the best body and tested on the
+//! held-out set, which nothing else uses.
 
 mod casts;
 mod comparison;

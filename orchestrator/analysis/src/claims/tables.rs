@@ -37,19 +37,8 @@ pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
         for e in evidence {
             let [low, high] = ends(e.interval);
             let note = (!e.note.is_empty()).then_some(&e.note);
-            let ratio = row![
-                e.rating.name(),
-                claim.stated,
-                e.found,
-                low,
-                high,
-                e.chance,
-                e.tells,
-                note,
-                e.trials,
-                e.over
-            ];
-            rows.push([row![i + 1, e.who, e.set], ratio].concat());
+            let ratio = row![e.rating.name(), claim.stated, e.found, low, high, e.chance, e.tells];
+            rows.push([row![i + 1, e.who, e.set], ratio, row![note, e.trials, e.over]].concat());
         }
     }
     Table::new("claim with set rating stated found low high chance tells note trials over", rows)

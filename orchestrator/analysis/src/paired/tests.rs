@@ -5,7 +5,7 @@ fn the_ratio_of_known_pairs_with_student_s_interval() {
     let logs = [0.5, 0.7, 0.9, 1.1];
     let of_seeds = |logs: &[f64]| {
         let seed = |i: usize| Cluster { placement: 0, seed: i as u64 };
-        Ratio::of(&logs.iter().enumerate().map(|(i, l)| (seed(i), l.exp())).collect::<Vec<_>>())
+        Ratio::of(logs.iter().enumerate().map(|(i, l)| (seed(i), l.exp())))
     };
     let found = of_seeds(&logs).unwrap();
     let half = 3.182_446_305_284_263 * (0.2f64 / 3.0).sqrt() / 2.0;

@@ -15,9 +15,10 @@ use std::fmt;
 use metasense_schemas::record::PlannedTrial as Planned;
 use metasense_schemas::spec::{Until, flatten};
 
-use super::data::{COMPLEXITY, SENSORS, groups, places};
+use super::data::{COMPLEXITY, SENSORS, groups};
+use super::numbers::distinct_numbers;
 use super::resample::LEAST_UNITS;
-use super::{BodyState, Cluster, Observation, Set, Trial};
+use super::{BodyState, Cluster, Set, Trial};
 
 use ask::Curves;
 pub use ask::{UntilAnswer, UntilQuestion};
@@ -94,9 +95,7 @@ fn setting_questions(until: &Until, trials: &[Trial]) -> Vec<SettingQuestion> {
                 |trial: &&Trial| (numbers[&std::ptr::from_ref::<Trial>(*trial)], at(trial) as f64);
             let units: Vec<Vec<(usize, f64)>> =
                 units.iter().map(|unit| unit.iter().map(with_place).collect()).collect();
-            let on_axis =
-                |(_, at): &(usize, f64)| Observation { at: *at, cluster: Cluster::default(), error: 1.0 };
-            let places = places(&units.iter().flatten().map(on_axis).collect::<Vec<_>>());
+            let places = distinct_numbers(units.iter().flatten().map(|(_, at)| *at));
             if places.len() >= question.least_places() && units.len() >= LEAST_UNITS {
                 found.push(SettingQuestion { question, setting: group.label, of, places, units });
             }

@@ -107,8 +107,7 @@ fn run(words: &[String]) -> Result<(String, Option<String>), String> {
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     // Slurm's last line is `NUMBER` or `NUMBER;CLUSTER`.
     let last = said.trim().lines().last().unwrap_or_default();
-    let (job, cluster) =
-        last.split_once(';').map_or((last, None), |(job, cluster)| (job, Some(cluster.to_owned())));
+    let (job, cluster) = last.split_once(';').map_or((last, None), |(job, on)| (job, Some(on.to_owned())));
     if output.status.success() && job.parse::<u64>().is_ok() {
         return Ok((job.to_owned(), cluster));
     }

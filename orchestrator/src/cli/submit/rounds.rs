@@ -125,8 +125,7 @@ impl Runs for Shards<'_> {
     }
 
     async fn run(&mut self, trials: &[PlannedTrial], _: RerunPolicy) -> Result<Option<RunOutcome>, Error> {
-        let settled: HashSet<String> =
-            self.trial_results().await?.into_iter().map(|found| found.hash).collect();
+        let settled: HashSet<_> = self.trial_results().await?.into_iter().map(|found| found.hash).collect();
         let open: Vec<PlannedTrial> =
             trials.iter().filter(|trial| !settled.contains(&trial.hash)).cloned().collect();
         if open.is_empty() {
@@ -204,7 +203,6 @@ impl Shards<'_> {
         Ok(())
     }
 
-    /// Number of steps and results so far.
     async fn progress(&self) -> Result<u64, Error> {
         Ok(Reader::with_reader(self.database(), async |reader| reader.progress().await).await?)
     }

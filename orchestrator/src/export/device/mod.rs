@@ -57,9 +57,6 @@ impl Numbers {
 }
 
 /// C99 source of a body's decoder, fitted to the body or to casts of it.
-///
-/// # Errors
-/// If the trial cannot be computed again.
 pub fn c(
     stored: &StoredTrial,
     body: usize,
@@ -196,11 +193,8 @@ fn arrays(text: &mut String, layers: &[Convolution], integers: Option<&Integers>
         writeln!(text, "static value R{l}[{}];", layer.slots() * layer.inputs).expect("text");
         let Convolution { dilation, inputs, outputs, .. } = layer;
         let (taps, after, slots) = (layer.spans.len(), layer.after(), layer.slots());
-        writeln!(
-            rows,
-            "    {{{taps}, {dilation}, {after}, {slots}, {inputs}, {outputs}, W{l}, B{l},{rescaled} R{l}}},"
-        )
-        .expect("text");
+        let sizes = format!("{taps}, {dilation}, {after}, {slots}, {inputs}, {outputs}");
+        rows += &format!("    {{{sizes}, W{l}, B{l},{rescaled} R{l}}},\n");
         if layer.linear {
             writeln!(text, "#define TAPS {taps}").expect("text");
             whole(text, "unsigned char SPAN", &layer.spans);
@@ -241,9 +235,8 @@ fn test(text: &mut String, replay: &Replay, integers: Option<&Integers>, [channe
     }
     for line in include_str!("test.c").lines() {
         match line.strip_suffix(" //integers") {
-            Some(line) if sums.is_some() => writeln!(text, "{line}").expect("text"),
-            Some(_) => {}
-            None => writeln!(text, "{line}").expect("text"),
+            Some(_) if sums.is_none() => {}
+            own => text.extend([own.unwrap_or(line), "\n"]),
         }
     }
 }

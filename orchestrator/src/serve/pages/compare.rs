@@ -131,8 +131,8 @@ async fn trials(served: &ServerState, at: [&str; 2], hashes: [&str; 2]) -> Resul
 }
 
 fn facts(a: &Trial, b: &Trial) -> Table {
-    let values = a.facts.rows[0].iter().zip(&b.facts.rows[0]);
-    let rows = a.facts.columns.iter().zip(values).filter(|(_, (a, b))| !a.is_null() || !b.is_null());
+    let values = a.rows.facts.rows[0].iter().zip(&b.rows.facts.rows[0]);
+    let rows = a.rows.facts.columns.iter().zip(values).filter(|(_, (a, b))| !a.is_null() || !b.is_null());
     let ratio = |a: &Value, b: &Value| match (a.as_f64(), b.as_f64()) {
         (Some(x), Some(y)) if (a.is_f64() || b.is_f64()) && y != 0.0 => Value::from(number(x / y)),
         _ => Value::Null,

@@ -57,7 +57,11 @@ pub async fn page(
         @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
         p class="quiet" {
             (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (over seeds and all other \
-             settings). The colour scale is logarithmic, from pale (" (number(least)) ") to strong (" (number(most)) "). A click shows its trials. " (K_AND_M)
+             settings). "
+            @if most > 0.0 {
+                "The colour scale is logarithmic, from pale (" (number(least)) ") to strong (" (number(most)) "). "
+            }
+            "A click shows its trials. " (K_AND_M)
         }
         div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }
         @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: use the filter to see them." } }
@@ -110,8 +114,7 @@ fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str, down: &str) -> (Vec<Pictu
         let values: Vec<f64> = rows.iter().filter_map(one).filter(|x| x.is_finite() && *x > 0.0).collect();
         (!values.is_empty()).then(|| geometric_mean(&values))
     };
-    let all: Vec<f64> =
-        cells_by_grid.values().flat_map(BTreeMap::values).filter_map(|rows| value(rows)).collect();
+    let all: Vec<f64> = cells_by_grid.values().flat_map(BTreeMap::values).filter_map(|r| value(r)).collect();
     let [least, most] =
         [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max)];
     let part = |x: f64| if most > least { (x / least).ln() / (most / least).ln() } else { 0.5 };

@@ -45,7 +45,6 @@ fn bare((up, steers): (&str, bool), title: &str, content: &Markup) -> String {
     document(&format!("{title} – metasense"), &head(up, steers), &content)
 }
 
-/// The page of a refusal.
 pub(super) fn refusal(up: &str, why: &str) -> String {
     let content = html! { p { (why) } p { a href=(format!("./{up}")) { "Back to the start" } } };
     bare((up, false), "No such page, or no answer", &content)

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use super::{Query, ServerState, framed, query, trial_links};
 use crate::look::{Axis, Format, Plot, Scale, Table, lines, prose};
+use crate::plan::counted;
 use crate::reader::{AnswerLimits, Reader};
 use crate::serve::{PageError, file_of};
 
@@ -45,7 +46,7 @@ pub async fn page(
         Some(Err(refusal)) => return Err(refusal),
         Some(Ok(SqlAnswer { table, cut, .. })) => html! {
             p role="status" {
-                (table.rows.len()) " rows" @if let Some(why) = cut { "; incomplete: " (why) } ". As a file: "
+                (counted(table.rows.len(), "row")) @if let Some(why) = cut { "; incomplete: " (why) } ". As a file: "
                 a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
                 a href=(format!("sql.parquet{}", query(&[("q", &asked.q)]))) download="answer.parquet" { "Parquet" }
             }

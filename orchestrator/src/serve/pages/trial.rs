@@ -34,6 +34,18 @@ pub(super) struct Trial {
     pub state: String,
     pub reason: String,
     pub spec: String,
+    pub rows: TrialRows,
+    /// Known designs, each with its name and a spec that has its sensors.
+    pub designs: Vec<(String, TrialSpec, Vec<f64>)>,
+    /// Known designs during training, each after so many outer steps; the initial design first.
+    pub course: Vec<(u32, TrialSpec, Vec<f64>)>,
+    /// The stored trial, if it contains both bodies.
+    pub stored: Option<StoredTrial>,
+}
+
+/// Rows of a trial in the views.
+#[derive(Debug)]
+pub(super) struct TrialRows {
     /// Values from `v_trial`.
     pub facts: Table,
     pub steps: Table,
@@ -44,12 +56,6 @@ pub(super) struct Trial {
     pub readings: Table,
     pub attempts: Table,
     pub log: Table,
-    /// Known designs, each with its name and a spec that has its sensors.
-    pub designs: Vec<(String, TrialSpec, Vec<f64>)>,
-    /// Known designs during training, each after so many outer steps; the initial design first.
-    pub course: Vec<(u32, TrialSpec, Vec<f64>)>,
-    /// The stored trial, if it contains both bodies.
-    pub stored: Option<StoredTrial>,
 }
 
 /// Columns of a trial; below, of its attempts.
@@ -66,7 +72,6 @@ const ATTEMPTS: &str =
   rustc, host, cpu, simd, threads";
 
 impl Trial {
-    /// Reads a trial.
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
         if let Some(mut source_reader) = reader.open_source_of(&hash).await? {
@@ -97,8 +102,7 @@ impl Trial {
         let readings = ask(&format!("{readings}, {HOLDOUT}"), "v_reading", "ORDER BY 2, 3, 1").await?;
         let attempts = ask(ATTEMPTS, "v_attempt", "ORDER BY attempt").await?;
         let log = ask("attempt, at, level, text", "v_log", "ORDER BY attempt, line").await?;
-        let stored =
-            reader.stored(&hash).await?.filter(|stored| stored.designs.iter().all(|d| !d.is_empty()));
+        let stored = reader.stored(&hash).await?.filter(|s| s.designs.iter().all(|d| !d.is_empty()));
         let mut designs = Vec::new();
         if let Some(stored) = &stored {
             for (b, name) in ["initial body", "trained body"].into_iter().enumerate() {
@@ -109,8 +113,7 @@ impl Trial {
                 designs.push(("initial body".into(), spec.clone(), initial));
             }
             if let Ok(Some(now)) = reader.checkpoint(&hash).await {
-                let sensor_units =
-                    now.moves.last().map_or(spec.sensor_units.clone(), |moved| moved.1.clone());
+                let sensor_units = now.moves.last().map_or(spec.sensor_units.clone(), |last| last.1.clone());
                 let moved = TrialSpec { sensor_units, ..spec };
                 let name = format!("body after {}", counted(now.step as usize, "step"));
                 designs.push((name, moved, now.design));
@@ -126,30 +129,17 @@ impl Trial {
                 course.push((step, TrialSpec { sensor_units, ..spec.clone() }, design));
             }
         }
-        Ok(Self {
-            hash,
-            state,
-            reason,
-            spec,
-            facts,
-            steps,
-            time,
-            networks,
-            curves,
-            readings,
-            attempts,
-            log,
-            designs,
-            course,
-            stored,
-        })
+        let rows = TrialRows { facts, steps, time, networks, curves, readings, attempts, log };
+        Ok(Self { hash, state, reason, spec, rows, designs, course, stored })
     }
 
     /// Points (step from 1, value) of a column of the steps; rows without a number are omitted.
     pub fn column(&self, name: &str) -> Vec<(f64, f64)> {
-        let Some(at) = self.steps.columns.iter().position(|column| column == name) else { return Vec::new() };
+        let Some(at) = self.rows.steps.columns.iter().position(|column| column == name) else {
+            return Vec::new();
+        };
         let point = |row: &Vec<serde_json::Value>| Some((row[0].as_f64()? + 1.0, row[at].as_f64()?));
-        self.steps.rows.iter().filter_map(point).collect()
+        self.rows.steps.rows.iter().filter_map(point).collect()
     }
 
     /// Whether another program simulates the body.
@@ -157,7 +147,6 @@ impl Trial {
         self.designs.first().is_some_and(|(_, spec, _)| !spec.body.kind.is_polygons())
     }
 
-    /// Drawings of the bodies.
     pub fn drawings(&self) -> Vec<(String, String, Sketch)> {
         let drawn = |(name, spec, design): &(String, TrialSpec, Vec<f64>)| {
             drawing(spec, design).ok().map(|drawing| (name.clone(), name.clone(), sketch(&drawing, &[])))
@@ -282,7 +271,8 @@ fn samples(again: &Replayed, chosen: &str) -> Markup {
 }
 
 fn facts(seen: &DatabaseState, trial: &Trial) -> Markup {
-    let facts = trial.facts.columns.iter().zip(&trial.facts.rows[0]).filter(|(_, value)| !value.is_null());
+    let facts =
+        trial.rows.facts.columns.iter().zip(&trial.rows.facts.rows[0]).filter(|(_, value)| !value.is_null());
     html! {
         (trouble(seen))
         p class="question" { (trial.state) @if !trial.reason.is_empty() { ": " (trial.reason) } }
@@ -309,13 +299,13 @@ fn curves_of(trial: &Trial) -> Markup {
     let lines = [("front", train), ("optimised", test)];
     let steps = curves("Error during training of the body", ["outer step", "error (%)"], &lines);
     let error_points = |body: &str| -> Vec<(f64, f64)> {
-        let own = trial.curves.rows.iter().filter(|row| row[0] == body && row[1] == 0);
+        let own = trial.rows.curves.rows.iter().filter(|row| row[0] == body && row[1] == 0);
         own.filter_map(|row| row[2].as_f64().zip(row[3].as_f64())).collect()
     };
     let lines = [("initial", error_points("initial")), ("optimised", error_points("optimised"))];
     let axes = ["iteration of the decoder", "held-out error (%)"];
     let fresh = curves("New network on each body", axes, &lines);
-    let data = trial.steps.clone();
+    let data = trial.rows.steps.clone();
     html! {
         @if let Some(steps) = steps {
             (Figure::new("steps", "Steps", "Error of the decoder that is trained together with the body, after each outer step.", keys, vec![steps], data).html(&[]))
@@ -323,7 +313,7 @@ fn curves_of(trial: &Trial) -> Markup {
         @if let Some(fresh) = fresh {
             (Figure::new(
                 "fresh", "New networks", "Held-out error of the first network of the comparison during its training, on the initial and the trained body.",
-                legend(&[("initial", "initial body"), ("optimised", "trained body")]), vec![fresh], trial.curves.clone(),
+                legend(&[("initial", "initial body"), ("optimised", "trained body")]), vec![fresh], trial.rows.curves.clone(),
             ).html(&[]))
         }
     }
@@ -362,19 +352,18 @@ fn course_of(trial: &Trial) -> Markup {
 
 fn networks(trial: &Trial) -> Markup {
     html! {
-        @if !trial.networks.rows.is_empty() { h2 { "Networks on both bodies" } (trial.networks.without_empty_columns().html(None)) }
-        @if !trial.readings.rows.is_empty() {
+        @if !trial.rows.networks.rows.is_empty() { h2 { "Networks on both bodies" } (trial.rows.networks.without_empty_columns().html(None)) }
+        @if !trial.rows.readings.rows.is_empty() {
             h2 { "Linear decoders by memory (time before and after the instant)" }
-            (trial.readings.without_empty_columns().html(None))
+            (trial.rows.readings.without_empty_columns().html(None))
         }
     }
 }
 
 /// CPU time of the steps that this trial computed.
 fn time(trial: &Trial) -> Markup {
-    let (count, sums) = trial.time.rows[0].split_first().expect("a number of steps, and sums");
-    let sums: Vec<_> =
-        PARTS.iter().zip(sums).map(|(part, sum)| (part.1, sum.as_f64().unwrap_or(0.0))).collect();
+    let (count, sums) = trial.rows.time.rows[0].split_first().expect("a number of steps, and sums");
+    let sums: Vec<_> = PARTS.iter().zip(sums).map(|(part, s)| (part.1, s.as_f64().unwrap_or(0.0))).collect();
     let all: f64 = sums.iter().map(|part| part.1).sum();
     html! {
         @if all > 0.0 {
@@ -394,8 +383,8 @@ fn time(trial: &Trial) -> Markup {
 
 fn attempts(trial: &Trial) -> Markup {
     html! {
-        @if !trial.attempts.rows.is_empty() { h2 { "Attempts" } (trial.attempts.without_empty_columns().html(None)) }
-        @if !trial.log.rows.is_empty() { h2 { "Log" } (trial.log.html(None)) }
+        @if !trial.rows.attempts.rows.is_empty() { h2 { "Attempts" } (trial.rows.attempts.without_empty_columns().html(None)) }
+        @if !trial.rows.log.rows.is_empty() { h2 { "Log" } (trial.rows.log.html(None)) }
     }
 }
 

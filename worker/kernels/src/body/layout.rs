@@ -53,13 +53,6 @@ pub struct Layout {
     pub carriers: Vec<bool>,
 }
 
-/// Units of a layout: reference points, cells, and nodes relative to the reference points.
-struct Units {
-    centres: Vec<[f64; 2]>,
-    grid: Vec<[i32; 2]>,
-    shape: Vec<Vec<[f64; 2]>>,
-}
-
 /// Node groups of a layout. A group shifts as one, by two numbers of α.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Groups {
@@ -126,10 +119,8 @@ impl Layout {
                         .push([End { unit: a, node: link.from.node }, End { unit: b, node: link.to.node }]);
                 }
             }
-            let mut places: Vec<[i32; 2]> =
+            let places: BTreeSet<[i32; 2]> =
                 scan.iter().flat_map(|&[i, j]| [[i, j], [i + di, j + dj]]).collect();
-            places.sort_unstable();
-            places.dedup();
             for [i, j] in places {
                 let ends =
                     [(at([i - di, j - dj], link.from.unit), link.from), (at([i, j], link.to.unit), link.to)];
@@ -150,13 +141,16 @@ impl Layout {
         let place = |&([i, j], member): &([i32; 2], usize)| {
             [0, 1].map(|d| origin[d] + pattern.centre([i, j], member)[d] * spacing)
         };
-        let places = Units {
+        let layout = Self {
             centres: units.iter().map(place).collect(),
             grid: units.iter().map(|unit| unit.0).collect(),
             shape: units.iter().map(|&(_, member)| pattern.units[member].nodes.clone()).collect(),
+            spacing,
+            ligament_length,
+            groups: Groups { of_nodes: groups, cells: group_cells, turning },
+            ..Self::default()
         };
-        let groups = Groups { of_nodes: groups, cells: group_cells, turning };
-        Self::from_parts(places, [spacing, ligament_length], &ligaments, groups)
+        layout.completed(&ligaments)
     }
 
     /// A body of arbitrary polygons with nodes in mm, counter-clockwise. Reference points are the means of the nodes. Each entry of
@@ -215,63 +209,47 @@ impl Layout {
             };
             groups.push((0..points.len()).map(of).collect());
         }
-        let places = Units {
-            grid: vec![[0; 2]; polygons.len()],
-            shape: polygons.iter().zip(&centres).map(relative).collect(),
-            centres,
-        };
         let groups = Groups {
             of_nodes: groups,
             cells: (0..number.len()).map(|group| (group, [0; 2])).collect(),
             turning: vec![[0.0; 2]; number.len()],
         };
-        let mut layout = Self::from_parts(places, [spacing, ligament_length], ligaments, groups);
+        let grid = vec![[0; 2]; polygons.len()];
+        let shape = polygons.iter().zip(&centres).map(relative).collect();
+        let layout = Self { centres, grid, shape, spacing, ligament_length, groups, ..Self::default() };
+        let mut layout = layout.completed(ligaments);
         rigid.iter().for_each(|&unit| layout.rigid[unit] = true);
         followers.iter().for_each(|&(unit, follower)| layout.followers[unit].push(follower));
         layout
     }
 
-    fn from_parts(
-        Units { centres, grid, shape }: Units,
-        [spacing, ligament_length]: [f64; 2],
-        ligaments: &[[End; 2]],
-        groups: Groups,
-    ) -> Self {
-        let mut first = vec![0];
-        shape.iter().for_each(|nodes| first.push(first[first.len() - 1] + nodes.len()));
-        let count = centres.len();
-        let mut layout = Self {
-            centres,
-            grid,
-            shape,
-            first,
-            ligament_length,
-            spacing,
-            ligaments: ligaments.iter().map(|&[a, b]| Ligament { a, b, reference: [0.0; 2] }).collect(),
-            groups,
-            rigid: vec![false; count],
-            density: vec![1.0; count],
-            followers: vec![Vec::new(); count],
-            carriers: Vec::new(),
-        };
-        layout.carriers = layout.boundary().iter().map(|edge| !edge).collect();
-        layout.set_references();
-        layout
+    /// Adds ligaments and defaults to a layout that has units, lengths and groups.
+    fn completed(mut self, ligaments: &[[End; 2]]) -> Self {
+        let count = self.units();
+        self.first = vec![0];
+        for nodes in &self.shape {
+            self.first.push(self.first[self.first.len() - 1] + nodes.len());
+        }
+        self.ligaments = ligaments.iter().map(|&[a, b]| Ligament { a, b, reference: [0.0; 2] }).collect();
+        (self.rigid, self.density) = (vec![false; count], vec![1.0; count]);
+        self.followers = vec![Vec::new(); count];
+        self.carriers = self.boundary().iter().map(|edge| !edge).collect();
+        self.set_references();
+        self
+    }
+
+    /// Undisplaced position of a node (mm).
+    fn undisplaced(&self, end: End) -> [f64; 2] {
+        let ([x, y], [p, q]) = (self.centres[end.unit], self.shape[end.unit][end.node]);
+        [x + self.half() * p, y + self.half() * q]
     }
 
     /// Sets the reference vectors of the undisplaced body. A ligament on the line between two reference points has the length l₀.
     fn set_references(&mut self) {
-        let place = |end: End| {
-            let ([x, y], [p, q]) = (self.centres[end.unit], self.shape[end.unit][end.node]);
-            [x + self.half() * p, y + self.half() * q]
-        };
-        let reference = |ligament: &Ligament| {
-            let [a, b] = [ligament.a, ligament.b];
-            let (c, d) = (self.centres[a.unit], self.centres[b.unit]);
-            let away = difference(d, c);
+        let reference = |&Ligament { a, b, .. }: &Ligament| {
+            let away = difference(self.centres[b.unit], self.centres[a.unit]);
             let straight = away.map(|x| x / away[0].hypot(away[1]) * self.ligament_length);
-            let (p, q) = (place(a), place(b));
-            let bare = difference(q, p);
+            let bare = difference(self.undisplaced(b), self.undisplaced(a));
             let off = (bare[0] - straight[0]).hypot(bare[1] - straight[1]);
             if off < 1e-9 * self.spacing { straight } else { bare }
         };
@@ -333,11 +311,8 @@ impl Layout {
 
     /// Undisplaced positions of a follower and of its two leaders (mm).
     pub(crate) fn bases(&self, unit: usize, follower: &Follower) -> [[f64; 2]; 3] {
-        let ([x, y], Follower { node, of: [a, b], .. }) = (self.centres[unit], *follower);
-        [node, a, b].map(|node| {
-            let [p, q] = self.shape[unit][node];
-            [x + self.half() * p, y + self.half() * q]
-        })
+        let Follower { node, of: [a, b], .. } = *follower;
+        [node, a, b].map(|node| self.undisplaced(End { unit, node }))
     }
 
     /// Present positions of the two leaders of a follower (mm).
@@ -417,7 +392,7 @@ impl Layout {
         if k == 0 || k > columns {
             return None;
         }
-        let column = |q: usize| if 2 * q < k { (2 * q + 1) * columns / (2 * k) } else { usize::MAX };
+        let column = |q: usize| (2 * q + 1) * columns / (2 * k);
         let panel = |q: usize| if 2 * q < k { column(q) } else { columns - 1 - column(k - 1 - q) };
         let panels: Vec<usize> = (0..k).map(panel).collect();
         let distinct = panels.windows(2).all(|w| w[0] < w[1]) && panels[k - 1] < columns;
@@ -457,9 +432,7 @@ impl Layout {
             Some((unit, [-c, -s]))
         };
         let panels: Vec<_> = (0..k).map(panel).collect::<Option<_>>()?;
-        let mut units: Vec<usize> = panels.iter().map(|p| p.0).collect();
-        units.sort_unstable();
-        units.dedup();
+        let units: BTreeSet<usize> = panels.iter().map(|p| p.0).collect();
         (units.len() == k).then_some(panels)
     }
 

@@ -60,15 +60,8 @@ enum Turns {
 
 /// `count` nodes of a regular polygon, the first at the angle `from` (degrees). Nodes on an axis have exact coordinates.
 fn regular(count: usize, from: f64) -> Vec<[f64; 2]> {
-    let exact = |x: f64| {
-        if x.abs() < 1e-15 {
-            0.0
-        } else if (x.abs() - 1.0).abs() < 1e-15 {
-            x.signum()
-        } else {
-            x
-        }
-    };
+    // `+ 0.0` turns −0 into 0
+    let exact = |x: f64| if (x - x.round()).abs() < 1e-15 { x.round() + 0.0 } else { x };
     let node = |p: usize| {
         let (sin, cos) = (from + 360.0 * p as f64 / count as f64).to_radians().sin_cos();
         [exact(cos), exact(sin)]

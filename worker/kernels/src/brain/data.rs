@@ -22,9 +22,9 @@ impl<F: Real> Data<F> {
     pub fn new(shape: Shape, x: &[F], y: &[F]) -> Self {
         let samples = y.len() / (shape.instants * shape.outputs);
         let mut data = Self::zeros(shape, samples);
-        assert_eq!(y.len(), samples * shape.instants * shape.outputs, "y of {shape:?}");
-        assert_eq!(x.len(), samples * shape.instants * shape.inputs, "x of {samples} samples of {shape:?}");
         let (nx, ny) = (shape.instants * shape.inputs, shape.instants * shape.outputs);
+        assert_eq!(y.len(), samples * ny, "y of {shape:?}");
+        assert_eq!(x.len(), samples * nx, "x of {samples} samples of {shape:?}");
         for n in 0..samples {
             data.set(n, &x[n * nx..(n + 1) * nx], &y[n * ny..(n + 1) * ny]);
         }
@@ -77,11 +77,8 @@ impl<F: Real> Data<F> {
     /// # Panics
     /// If an index is out of range.
     pub fn batch<'a>(&'a self, which: &'a [usize]) -> Batch<'a, F> {
-        assert!(
-            which.iter().all(|&n| n < self.samples),
-            "index out of range: {} samples, batch {which:?}",
-            self.samples
-        );
+        let samples = self.samples;
+        assert!(which.iter().all(|&n| n < samples), "index out of range: {samples} samples, batch {which:?}");
         Batch { data: self, which: Some(which) }
     }
 }

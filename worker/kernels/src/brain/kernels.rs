@@ -57,12 +57,9 @@ impl<F: Scalar> Kernels<F> {
     /// # Panics
     /// If a length does not match, or T is odd.
     pub fn spread(&self, a: &[F], out: &mut [F], columns: usize) {
-        let pairs = (a.len() / columns - 2) / 2;
-        assert!(
-            columns.is_multiple_of(COLUMNS) && a.len() == (2 * pairs + 2) * columns,
-            "{} {columns}",
-            a.len()
-        );
+        let (length, pairs) = (a.len(), (a.len() / columns - 2) / 2);
+        let whole = columns.is_multiple_of(COLUMNS) && length == (2 * pairs + 2) * columns;
+        assert!(whole, "{length} {columns}");
         assert!(out.len() == 4 * pairs * columns, "{} for {pairs} pairs", out.len());
         // SAFETY: as above.
         unsafe { (self.spread)(a, out, columns) }
@@ -73,12 +70,9 @@ impl<F: Scalar> Kernels<F> {
     /// # Panics
     /// If a length does not match, or T is odd.
     pub fn fold(&self, a: &[F], out: &mut [F], columns: usize) {
-        assert!(
-            columns.is_multiple_of(COLUMNS) && a.len().is_multiple_of(2 * columns),
-            "{} {columns}",
-            a.len()
-        );
-        assert_eq!(out.len(), 2 * a.len());
+        let length = a.len();
+        assert!(columns.is_multiple_of(COLUMNS) && length.is_multiple_of(2 * columns), "{length} {columns}");
+        assert_eq!(out.len(), 2 * length);
         // SAFETY: as above.
         unsafe { (self.fold)(a, out, columns) }
     }
@@ -113,12 +107,8 @@ impl<F: Scalar> Kernels<F> {
     /// # Panics
     /// If the length of `c` is not a multiple of `COLUMNS`.
     pub fn add_rows(&self, a: &[F], c: &mut [F]) {
-        assert!(
-            c.len().is_multiple_of(COLUMNS) && a.len().is_multiple_of(c.len()),
-            "{} {}",
-            a.len(),
-            c.len()
-        );
+        let (length, columns) = (a.len(), c.len());
+        assert!(columns.is_multiple_of(COLUMNS) && length.is_multiple_of(columns), "{length} {columns}");
         // SAFETY: as above.
         unsafe { (self.sums)(a, c) }
     }

@@ -20,12 +20,7 @@ pub enum SolveOutcome {
 impl SolveOutcome {
     /// Name in records.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Converged => "converged",
-            Self::IterationLimit => "iteration_limit",
-            Self::NegativeCurvature => "negative_curvature",
-            Self::NonFinite => "non_finite",
-        }
+        ["converged", "iteration_limit", "negative_curvature", "non_finite"][self as usize]
     }
 }
 

@@ -7,6 +7,10 @@
 //! ```
 //! The four forms are stored one after the other. Interleaved rows (4 × 64 apart) would use too few sets of L1.
 //! Lavin and Gray, arXiv:1509.09308, in one dimension. U₃ is stored negated.
+//!
+//! The unsafe functions require the checks of `Kernels`, and a machine that supports the vector's instruction set.
+
+#![expect(unsafe_op_in_unsafe_fn, reason = "each whole body relies on the checks of its caller")]
 
 use super::tiles::{Product, accumulate, close, panel};
 use crate::lanes::{Scalar, Vector};
@@ -35,16 +39,13 @@ pub fn add_gradient<F: Scalar>(q: &[F], gradient: &mut [F]) {
     }
 }
 
-/// # Safety
-/// Requires the checks of `Kernels::pairs`, and a machine that supports the vector's instruction set.
+/// As `Kernels::pairs`.
 #[inline(always)]
 pub unsafe fn pairs<V: Vector, const R: usize, const R3: usize>(p: &mut Product<V::Scalar>) {
-    // SAFETY: guaranteed by the caller. Constant lengths save the registers of row addresses.
-    unsafe {
-        match (p.lda, p.depth) {
-            (64, 64) => pairs_by_stride::<V, R, R3>(p, 64, 64),
-            (stride, depth) => pairs_by_stride::<V, R, R3>(p, stride, depth),
-        }
+    // Constant lengths save the registers of row addresses.
+    match (p.lda, p.depth) {
+        (64, 64) => pairs_by_stride::<V, R, R3>(p, 64, 64),
+        (stride, depth) => pairs_by_stride::<V, R, R3>(p, stride, depth),
     }
 }
 
@@ -54,18 +55,15 @@ unsafe fn pairs_by_stride<V: Vector, const R: usize, const R3: usize>(
     lda: usize,
     depth: usize,
 ) {
-    // SAFETY: guaranteed by the caller.
-    unsafe {
-        let mut column = 0;
-        while column < p.columns {
-            let registers = panel(p.columns - column, V::LANES);
-            match registers {
-                1 => pairs_panel::<V, R, 1>(p, lda, depth, column),
-                3 => pairs_panel::<V, R3, 3>(p, lda, depth, column),
-                _ => pairs_panel::<V, R, 2>(p, lda, depth, column),
-            }
-            column += registers * V::LANES;
+    let mut column = 0;
+    while column < p.columns {
+        let registers = panel(p.columns - column, V::LANES);
+        match registers {
+            1 => pairs_panel::<V, R, 1>(p, lda, depth, column),
+            3 => pairs_panel::<V, R3, 3>(p, lda, depth, column),
+            _ => pairs_panel::<V, R, 2>(p, lda, depth, column),
         }
+        column += registers * V::LANES;
     }
 }
 
@@ -76,18 +74,15 @@ unsafe fn pairs_panel<V: Vector, const R: usize, const W: usize>(
     depth: usize,
     column: usize,
 ) {
-    // SAFETY: guaranteed by the caller.
-    unsafe {
-        let u = p.panels.as_ptr().add(column * 4 * depth);
-        let mut h = 0;
-        while h + R <= p.rows / 2 {
-            tile::<V, R, W>(p, lda, depth, u, h, column);
-            h += R;
-        }
-        while h < p.rows / 2 {
-            tile::<V, 1, W>(p, lda, depth, u, h, column);
-            h += 1;
-        }
+    let u = p.panels.as_ptr().add(column * 4 * depth);
+    let mut h = 0;
+    while h + R <= p.rows / 2 {
+        tile::<V, R, W>(p, lda, depth, u, h, column);
+        h += R;
+    }
+    while h < p.rows / 2 {
+        tile::<V, 1, W>(p, lda, depth, u, h, column);
+        h += 1;
     }
 }
 
@@ -100,66 +95,55 @@ unsafe fn tile<V: Vector, const R: usize, const W: usize>(
     h: usize,
     column: usize,
 ) {
-    // SAFETY: guaranteed by the caller.
-    unsafe {
-        let (a, form) = (p.a.as_ptr().add(h * lda), p.rows / 2 * lda);
-        let block = depth * W * V::LANES;
-        let zero = [[V::ZERO; W]; R];
-        let (mut first, mut second) = (zero, zero);
-        accumulate::<V, R, W>(&mut first, a.add(form), lda, u.add(block), depth);
-        accumulate::<V, R, W>(&mut second, a.add(2 * form), lda, u.add(2 * block), depth);
-        for r in 0..R {
-            for w in 0..W {
-                let (m1, m2) = (first[r][w], second[r][w]);
-                first[r][w] = m1 + m2;
-                second[r][w] = m1 - m2;
-            }
+    let (a, form) = (p.a.as_ptr().add(h * lda), p.rows / 2 * lda);
+    let block = depth * W * V::LANES;
+    let zero = [[V::ZERO; W]; R];
+    let (mut first, mut second) = (zero, zero);
+    accumulate::<V, R, W>(&mut first, a.add(form), lda, u.add(block), depth);
+    accumulate::<V, R, W>(&mut second, a.add(2 * form), lda, u.add(2 * block), depth);
+    for r in 0..R {
+        for w in 0..W {
+            let (m1, m2) = (first[r][w], second[r][w]);
+            first[r][w] = m1 + m2;
+            second[r][w] = m1 - m2;
         }
-        accumulate::<V, R, W>(&mut first, a, lda, u, depth);
-        accumulate::<V, R, W>(&mut second, a.add(3 * form), lda, u.add(3 * block), depth);
-        let at = 2 * h * p.columns + column;
-        close::<V, R, W>(p, first, at, 2 * p.columns, column);
-        close::<V, R, W>(p, second, at + p.columns, 2 * p.columns, column);
     }
+    accumulate::<V, R, W>(&mut first, a, lda, u, depth);
+    accumulate::<V, R, W>(&mut second, a.add(3 * form), lda, u.add(3 * block), depth);
+    let at = 2 * h * p.columns + column;
+    close::<V, R, W>(p, first, at, 2 * p.columns, column);
+    close::<V, R, W>(p, second, at + p.columns, 2 * p.columns, column);
 }
 
-/// # Safety
-/// Requires the checks of `Kernels::spread`, and a machine that supports the vector's instruction set.
+/// As `Kernels::spread`.
 #[inline(always)]
 pub unsafe fn spread<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: usize) {
-    // SAFETY: guaranteed by the caller.
-    unsafe {
-        let form = out.len() / 4;
-        for h in 0..form / columns {
-            let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(h * columns));
-            for c in (0..columns).step_by(V::LANES) {
-                let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
-                let (a2, a3) = (V::load(from.add(2 * columns + c)), V::load(from.add(3 * columns + c)));
-                (a0 - a2).store(to.add(c));
-                (a1 + a2).store(to.add(form + c));
-                (a2 - a1).store(to.add(2 * form + c));
-                (a1 - a3).store(to.add(3 * form + c));
-            }
+    let form = out.len() / 4;
+    for h in 0..form / columns {
+        let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(h * columns));
+        for c in (0..columns).step_by(V::LANES) {
+            let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
+            let (a2, a3) = (V::load(from.add(2 * columns + c)), V::load(from.add(3 * columns + c)));
+            (a0 - a2).store(to.add(c));
+            (a1 + a2).store(to.add(form + c));
+            (a2 - a1).store(to.add(2 * form + c));
+            (a1 - a3).store(to.add(3 * form + c));
         }
     }
 }
 
-/// # Safety
-/// Requires the checks of `Kernels::fold`, and a machine that supports the vector's instruction set.
+/// As `Kernels::fold`.
 #[inline(always)]
 pub unsafe fn fold<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: usize) {
-    // SAFETY: guaranteed by the caller.
-    unsafe {
-        let form = out.len() / 4;
-        for h in 0..form / columns {
-            let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(h * columns));
-            for c in (0..columns).step_by(V::LANES) {
-                let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
-                a0.store(to.add(c));
-                (a0 + a1).store(to.add(form + c));
-                (a0 - a1).store(to.add(2 * form + c));
-                a1.store(to.add(3 * form + c));
-            }
+    let form = out.len() / 4;
+    for h in 0..form / columns {
+        let (from, to) = (a.as_ptr().add(2 * h * columns), out.as_mut_ptr().add(h * columns));
+        for c in (0..columns).step_by(V::LANES) {
+            let (a0, a1) = (V::load(from.add(c)), V::load(from.add(columns + c)));
+            a0.store(to.add(c));
+            (a0 + a1).store(to.add(form + c));
+            (a0 - a1).store(to.add(2 * form + c));
+            a1.store(to.add(3 * form + c));
         }
     }
 }

@@ -8,7 +8,11 @@ use super::{Accuracy, IntegrationPlan, Integrator, IntegratorSettings, Precision
 /// M^-½ H M^-½ by Lanczos' method, accurate to 1e-3 before its vectors lose orthogonality. Relaxing ligaments count with their
 /// instantaneous stiffness.
 pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
-    let model = Model::new(scene, design);
+    frequency_of(&Model::new(scene, design), scene)
+}
+
+/// The same of a model; 0 without a start of samples.
+fn frequency_of(model: &Model, scene: &Scene) -> f64 {
     if model.start.is_err() {
         return 0.0;
     }
@@ -16,7 +20,7 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
     let n = root.len();
     let apply = |y: &[f64]| -> Vec<f64> {
         let w: Vec<f64> = y.iter().zip(&root).map(|(y, r)| y * r).collect();
-        let [curved, ..] = hessian(&model, scene, model.start(), &[w]);
+        let [curved, ..] = hessian(model, scene, model.start(), &[w]);
         curved.iter().zip(&root).map(|(h, r)| h * r).collect()
     };
     let norm = |y: &[f64]| y.iter().map(|y| y * y).sum::<f64>().sqrt();
@@ -139,18 +143,17 @@ impl Candidate {
 }
 
 /// Largest rate c/m of the free coordinates (1/s); strong damping needs steps that resolve it.
-fn fastest_decay(scene: &Scene, design: &[f64]) -> f64 {
-    let model = Model::new(scene, design);
-    if model.start.is_err() {
-        return 0.0;
-    }
+pub(super) fn fastest_decay(model: &Model) -> f64 {
     let rates = model.inverse_mass.iter().flat_map(|inverse| (0..3).map(|d| inverse[d] * model.damping[d]));
     rates.fold(0.0, f64::max)
 }
 
 /// All methods of equal steps for this scene, under forces with `kinks` kinks per interval.
 pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Candidate> {
-    let highest = highest_frequency(scene, design).max(fastest_decay(scene, design));
+    let model = Model::new(scene, design);
+    // without a start, no sample moves
+    let decay = if model.start.is_ok() { fastest_decay(&model) } else { 0.0 };
+    let highest = frequency_of(&model, scene).max(decay);
     let interval = scene.duration / scene.instants as f64;
     LAWS.iter().map(|law| Candidate { law, highest, interval, kinks }).collect()
 }

@@ -56,17 +56,12 @@ pub fn contact_energy(contact: EdgeContact, psi: f64) -> f64 {
     0.5 * contact.stiffness * width.powi(2) * x.powi(2) / (1.0 - x.powi(2))
 }
 
-/// ∂U/∂s, computed by the kernel of the integrators.
-pub fn energy_gradient(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    both(scene, design, displacement).0
-}
-
-/// ∂U/∂α at fixed displacement.
-pub fn energy_design_gradient(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Vec<f64> {
-    both(scene, design, displacement).1
-}
-
-fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<f64>) {
+/// ∂U/∂s, and ∂U/∂α at fixed displacement, computed by the kernel of the integrators.
+pub fn energy_gradients(
+    scene: &Scene,
+    design: &[f64],
+    displacement: &[[f64; 3]],
+) -> (Vec<[f64; 3]>, Vec<f64>) {
     let model = Model::uncompressed(scene, design);
     let n = model.units();
     let zero = Base::splat(0.0);

@@ -249,11 +249,10 @@ fn check(scene: &Scene, design: &[f64], forces: &Forces) {
     let units = scene.layout.units();
     assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
     assert_eq!(forces.panels, scene.panels.len(), "panels of the forces");
+    let (own, instants) = (forces.instants, scene.instants);
     assert!(
-        forces.instants > 0 && forces.instants.is_multiple_of(scene.instants),
-        "the forces have {} instants; must be a multiple of the scene's {}",
-        forces.instants,
-        scene.instants
+        own > 0 && own.is_multiple_of(instants),
+        "the forces have {own} instants; must be a multiple of the scene's {instants}"
     );
     let len = forces.samples * forces.panels * (forces.instants + 1);
     assert_eq!(forces.values.len(), len, "length of the forces");

@@ -191,18 +191,9 @@ impl<'a> DualBody<'a> {
         let shift = 2.0 * ratio * (area * density * shear).sqrt();
         let turn = 2.0 * ratio * (area.powi(2) / 6.0 * round * density * bend).sqrt();
         let damping = scene.damping.map_or([shift, shift, turn], |given| given.map(|c| c * ratio));
-        Self {
-            scene,
-            arms,
-            mass,
-            stiffness: [stretch, shear, bend, contact],
-            damping,
-            history: forces.sample(sample),
-            along: tangent.forces,
-            forces,
-            tape,
-            sample,
-        }
+        let (history, along) = (forces.sample(sample), tangent.forces);
+        let stiffness = [stretch, shear, bend, contact];
+        Self { scene, arms, mass, stiffness, damping, history, along, forces, tape, sample }
     }
 
     fn zero_state(&self) -> State {
@@ -219,13 +210,8 @@ impl<'a> DualBody<'a> {
         let model = self.tape.model();
         x.iter_mut().zip(model.start()).for_each(|(x, start)| *x = start.map(|start| Dual(start, 0.0)));
         let unforced = vec![0.0; forces.sample(self.sample).len()];
-        let still = DualBody {
-            history: &unforced,
-            along: &[],
-            arms: self.arms.clone(),
-            mass: self.mass.clone(),
-            ..*self
-        };
+        let (arms, mass) = (self.arms.clone(), self.mass.clone());
+        let still = DualBody { history: &unforced, along: &[], arms, mass, ..*self };
         let unforced_acceleration =
             still.acceleration(&x, &self.zero_state(), [Dual::default(); 3], (0, 0.0));
         // minus the derivative of the forces; the forces are zero, so the derivative of the masses has no effect

@@ -435,7 +435,7 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
 ) -> Reaction<V> {
     let (zero, length, relative) = (V::splat(0.0), bar.length, at.relative);
     let [k_l, _, k_t] = bar.stiffness;
-    let mut from_scalar = Reaction {
+    let mut own = Reaction {
         at,
         inverse_square: zero,
         stretch: zero,
@@ -450,23 +450,20 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     let shear;
     let mut bend = V::from_scalar(k_t) * relative;
     if LINEAR {
-        (from_scalar.force, shear, from_scalar.strains) = linear(bar, at.d, at.mean, relative);
+        (own.force, shear, own.strains) = linear(bar, at.d, at.mean, relative);
     } else {
         let [dx, dy] = at.d;
-        from_scalar.inverse_square = at.inverse * at.inverse;
-        from_scalar.stretch = if V::SINGLE {
+        own.inverse_square = at.inverse * at.inverse;
+        own.stretch = if V::SINGLE {
             V::from_scalar(k_l) * at.inverse * at.square.over(at.size + V::from_scalar(length))
         } else {
             V::from_scalar(bar.tension).mul_sub_from(at.inverse, V::from_scalar(k_l))
         };
         let twist = V::from_scalar(bar.twist) * gamma;
-        from_scalar.side = twist * from_scalar.inverse_square;
-        from_scalar.force = [
-            from_scalar.side.mul_sub_from(dy, from_scalar.stretch * dx),
-            from_scalar.side.mul_add(dx, from_scalar.stretch * dy),
-        ];
+        own.side = twist * own.inverse_square;
+        own.force = [own.side.mul_sub_from(dy, own.stretch * dx), own.side.mul_add(dx, own.stretch * dy)];
         shear = V::splat(0.5) * twist;
-        from_scalar.strains = [at.size - V::from_scalar(length), V::from_scalar(length) * gamma, relative];
+        own.strains = [at.size - V::from_scalar(length), V::from_scalar(length) * gamma, relative];
     }
     if CONTACT && let Some(contact) = model.contact {
         // ψ₁ decreases and ψ₂ increases with θ_b − θ_a
@@ -474,13 +471,13 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         for (s, sign) in [(0, -1.0), (1, 1.0)] {
             *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
             if psi[s].any_less(V::splat(contact.cutoff_angle)) {
-                from_scalar.contact[s] = contact_slope(contact, psi[s]);
-                bend = V::splat(sign).mul_add(from_scalar.contact[s].0, bend);
+                own.contact[s] = contact_slope(contact, psi[s]);
+                bend = V::splat(sign).mul_add(own.contact[s].0, bend);
             }
         }
     }
-    from_scalar.moments = [-(shear + bend), bend - shear];
-    from_scalar
+    own.moments = [-(shear + bend), bend - shear];
+    own
 }
 
 /// Force, moment and strains of the linearised ligament.

@@ -34,12 +34,12 @@ mod tune;
 
 pub use choose::{choose, highest_frequency};
 pub use dispatch::repeat_kernel;
-pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
+pub use energy::{Energy, energy, energy_gradients};
 pub use equilibrium::{start, touches};
 pub use forces::{Forces, Strike};
 pub use integrate::{planned, run, simulate};
 pub use jvp::Tangent;
-pub use model::damping;
+pub use model::{damping, unwrapped_void};
 pub use rest::Rest;
 pub use scene::{
     AccelerationFrame, AddedMass, EdgeContact, LigamentStiffness, MaxwellBranch, Mount, Panel, Parameters,

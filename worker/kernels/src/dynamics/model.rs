@@ -117,6 +117,11 @@ pub fn damping(scene: &Scene) -> [f64; 3] {
     [shift, shift, turn]
 }
 
+/// A void angle (rad) on its branch: below −90° it is one above 180°.
+pub fn unwrapped_void(psi: f64) -> f64 {
+    if psi < -FRAC_PI_2 { psi + TAU } else { psi }
+}
+
 /// (m, m, J) of a driven unit; independent of the design.
 pub(super) fn driven_mass(scene: &Scene) -> [f64; 3] {
     let (area, round) = scene.layout.mean_unit();
@@ -130,7 +135,6 @@ impl Model {
         let layout = &scene.layout;
         let geometry = scene.geometry(design);
         let voids = geometry.void_angles(layout);
-        let branch = |psi: f64| if psi < -FRAC_PI_2 { psi + TAU } else { psi };
         let bar = |(index, (l, voids)): (usize, (&crate::body::Ligament, &[f64; 2]))| {
             let length = l.reference[0].hypot(l.reference[1]);
             let LigamentStiffness { stretch, shear, bend } = scene.stiffness;
@@ -153,7 +157,7 @@ impl Model {
                 factors,
                 tension: stiffness[0] * length,
                 twist: stiffness[1] * length * length,
-                voids: voids.map(branch),
+                voids: voids.map(unwrapped_void),
             }
         };
         let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
@@ -164,14 +168,10 @@ impl Model {
             !geometry.mass.iter().any(|m| *m <= VANISHED * mean) && !geometry.moment.iter().any(|j| *j < 0.0);
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
-            let chip = AddedMass::mass_on_unit(scene, unit);
-            std::array::from_fn(|d| 1.0 / (own[d] + chip[d]))
+            let (chip, held) = (AddedMass::mass_on_unit(scene, unit), scene.holds(unit));
+            std::array::from_fn(|d| if held[d] { 0.0 } else { 1.0 / (own[d] + chip[d]) })
         };
         let mut inverse_mass: Vec<[f64; 3]> = own.enumerate().map(inverse).collect();
-        for (u, inverse) in inverse_mass.iter_mut().enumerate() {
-            let held = scene.holds(u);
-            (0..3).filter(|d| held[*d]).for_each(|d| inverse[d] = 0.0);
-        }
         let driven: Vec<usize> = (0..layout.units()).filter(|u| scene.is_driven(*u)).collect();
         let heavy = driven_mass(scene);
         for &u in &driven {

@@ -54,13 +54,8 @@ impl Parameters {
     pub fn set(self, scene: &Scene) -> Scene {
         let Self { stretch, shear, bend, damping_ratio, density, contact: stiffness } = self;
         let contact = scene.contact.map(|c| EdgeContact { stiffness, ..c });
-        Scene {
-            stiffness: LigamentStiffness { stretch, shear, bend },
-            damping_ratio,
-            density,
-            contact,
-            ..scene.clone()
-        }
+        let stiffness = LigamentStiffness { stretch, shear, bend };
+        Scene { stiffness, damping_ratio, density, contact, ..scene.clone() }
     }
 
     /// Values in the order of the fields.

@@ -89,13 +89,8 @@ impl Drift {
         } else {
             (-(-z).exp_m1() / z, (z * keep + (-z).exp_m1()) / (z * z))
         };
-        Self {
-            keep,
-            restore: z.exp(),
-            reach: tau * reach,
-            keep_slope: -tau * keep,
-            reach_slope: tau * tau * slope,
-        }
+        let (reach, keep_slope, reach_slope) = (tau * reach, -tau * keep, tau * tau * slope);
+        Self { keep, restore: z.exp(), reach, keep_slope, reach_slope }
     }
 
     /// Rounds the slopes to a kernel's scalar type.

@@ -23,13 +23,7 @@ pub enum Integrator {
 impl Integrator {
     /// Name in specs and records.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Tsit5 => "tsit5",
-            Self::Leapfrog => "leapfrog",
-            Self::Nystrom4 => "nystrom4",
-            Self::Nystrom6 => "nystrom6",
-        }
+        ["auto", "tsit5", "leapfrog", "nystrom4", "nystrom6"][self as usize]
     }
 
     /// Force evaluations per step of methods with equal steps.
@@ -51,13 +45,6 @@ impl Integrator {
 /// Relative error of the signals, by `signal_error`.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct Accuracy(pub f64);
-
-impl Accuracy {
-    /// The smaller of two errors.
-    pub fn min(self, other: Self) -> Self {
-        Self(self.0.min(other.0))
-    }
-}
 
 /// Tolerance per step of Tsit5's error norm: `absolute` + `relative` · |state| (mm, rad, per second).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -133,13 +120,13 @@ impl IntegratorSettings {
     }
 
     /// This solver with at most this error of the signals, in f64: a pilot's choice of f32 is valid only for its own steps.
-    pub fn at_most(self, error: Accuracy) -> Self {
-        let stricter = (error.0 / self.accuracy.0).min(1.0);
+    pub fn at_most(self, Accuracy(error): Accuracy) -> Self {
+        let stricter = (error / self.accuracy.0).min(1.0);
         let tolerance = self.tolerance.map(|t| Tolerance {
             relative: (stricter * t.relative).max(Tolerance::SMALLEST),
             absolute: (stricter * t.absolute).max(Tolerance::SMALLEST),
         });
-        Self { accuracy: self.accuracy.min(error), tolerance, single_below: 0.0, ..self }
+        Self { accuracy: Accuracy(self.accuracy.0.min(error)), tolerance, single_below: 0.0, ..self }
     }
 }
 

@@ -10,6 +10,7 @@
 //! from the next checkpoint, with the forces that the evaluations of second derivatives also return.
 
 use super::balance::Balance;
+use super::choose::fastest_decay;
 use super::jobs::{Backward, SampleJob};
 use super::ligaments::Place;
 use super::loads::LockstepForces;
@@ -28,9 +29,7 @@ const CHECK_EVERY: usize = 8;
 /// Number of checkpoints per interval, chosen so that damping amplifies rounding by at most about e⁶ in the reverse sweep.
 pub fn segments(scene: &Scene, model: &Model, substeps: usize) -> usize {
     let delta = scene.duration / scene.instants as f64;
-    let rates = model.inverse_mass.iter().flat_map(|m| (0..3).map(|d| m[d] * model.damping[d]));
-    let fastest = rates.fold(0.0, f64::max);
-    ((fastest * delta / 6.0).ceil() as usize).clamp(1, substeps)
+    ((fastest_decay(model) * delta / 6.0).ceil() as usize).clamp(1, substeps)
 }
 
 /// Step at which segment `k` of `segments` ends.
@@ -287,11 +286,8 @@ pub fn forward<V: Vector>(
     }
     let lanes = jobs.len() as u64;
     let steps = ((instants - begin.first) * substeps) as u64;
-    SimulationCounts {
-        force_evaluations: lanes * (1 + steps * stages as u64),
-        steps: lanes * steps,
-        rejected: 0,
-    }
+    let force_evaluations = lanes * (1 + steps * stages as u64);
+    SimulationCounts { force_evaluations, steps: lanes * steps, rejected: 0 }
 }
 
 /// Cotangents of the states and of the next force evaluation.
@@ -505,11 +501,8 @@ pub fn reverse<V: Vector>(
         }
     }
     add_into(&mut system.cotangent.start, &bars.x);
-    let lanes = sweeps.len() as u64;
-    let counters = SimulationCounts {
-        force_evaluations: lanes * evaluations,
-        steps: lanes * ((instants - begin.first) * substeps) as u64,
-        rejected: 0,
-    };
+    let (lanes, steps) = (sweeps.len() as u64, ((instants - begin.first) * substeps) as u64);
+    let (force_evaluations, steps) = (lanes * evaluations, lanes * steps);
+    let counters = SimulationCounts { force_evaluations, steps, rejected: 0 };
     (loads.cotangent(), counters)
 }

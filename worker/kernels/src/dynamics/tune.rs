@@ -132,11 +132,9 @@ pub fn tune(
     let bits = if rounded.is_some() { "f32, " } else { "" };
     let why = format!("{bits}measured error {error:.0e}, requested {requested:.0e}");
     let plan = IntegrationPlan { precision, reason: candidate.reason(steps, &why), ..plan };
-    let single = rounded.map_or(0.0, |_| candidate.single(solver.accuracy));
-    let solver = IntegratorSettings {
-        single_below: single,
-        ..IntegratorSettings::new(plan.method, candidate.accuracy(exact))
-    };
+    let single_below = rounded.map_or(0.0, |_| candidate.single(solver.accuracy));
+    let double = IntegratorSettings::new(plan.method, candidate.accuracy(exact));
+    let solver = IntegratorSettings { single_below, ..double };
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
 }
 
@@ -177,11 +175,7 @@ impl Pilot<'_> {
         Some(self.error(&plan, reference)).filter(|error| SAFETY * error <= requested)
     }
 
-    fn run(&mut self, candidate: &Candidate, steps: usize) -> Simulation {
-        self.run_plan(&candidate.plan(steps, String::new()))
-    }
-
-    fn run_plan(&mut self, plan: &IntegrationPlan) -> Simulation {
+    fn run(&mut self, plan: &IntegrationPlan) -> Simulation {
         let simulation = run(self.scene, self.design, &self.forces, plan, false, self.pool);
         self.counters += simulation.counters;
         simulation
@@ -190,7 +184,7 @@ impl Pilot<'_> {
     /// Error of a plan against the reference solution. Infinite if additional samples fail, or if samples were repeated with
     /// finer steps, which is expensive.
     fn error(&mut self, plan: &IntegrationPlan, reference: &Simulation) -> f64 {
-        let simulation = self.run_plan(plan);
+        let simulation = self.run(plan);
         let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
         let halved = simulation.plan.steps.count() > 0 && simulation.counters.rejected > 0;
         if halved || simulation.outcomes.iter().zip(&reference.outcomes).any(fails) {
@@ -243,9 +237,9 @@ impl Pilot<'_> {
     ) -> Result<(Simulation, StepsAndError), StepsAndError> {
         let start = six.steps(Accuracy(requested.min(0.01)));
         let (mut refined, mut errors) = (1, Vec::new());
-        let mut coarse = self.run(six, start);
+        let mut coarse = self.run(&six.plan(start, String::new()));
         while refined < REFINED {
-            let fine = self.run(six, 2 * refined * start);
+            let fine = self.run(&six.plan(2 * refined * start, String::new()));
             // A sample repeated with finer steps may be identical in both runs; the difference does not measure its error.
             let error =
                 if coarse.counters.rejected > 0 { f64::INFINITY } else { self.distance(&coarse, &fine) };
@@ -315,11 +309,8 @@ impl Pilot<'_> {
         let good = tried.into_iter().filter(|(_, error)| SAFETY * error <= requested).min_by_key(|t| t.0);
         good.map(|(steps, error)| {
             let (n, part) = (steps as f64, 0.9 * candidate.kinks as f64);
-            MinimalSteps {
-                steps,
-                exact: exact((steps, error), power).clamp(n - part, n * (1.0 - 1e-9)),
-                error,
-            }
+            let exact = exact((steps, error), power).clamp(n - part, n * (1.0 - 1e-9));
+            MinimalSteps { steps, exact, error }
         })
     }
 }

@@ -14,8 +14,7 @@ use metasense_kernels::body::{Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
     AccelerationFrame, Accuracy, AddedMass, EdgeContact, Energy, Forces, IntegrationPlan, Integrator,
     IntegratorSettings, LigamentStiffness, Mount, Outcome, Panel, Parameters, PartFactors, Precision, Scene,
-    Tolerance, Wrt, choose, energy, energy_design_gradient, energy_gradient, highest_frequency, run,
-    signal_error, simulate, tune,
+    Tolerance, Wrt, choose, energy, energy_gradients, highest_frequency, run, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
@@ -187,8 +186,8 @@ fn parts_that_are_alike_are_the_material() {
             (0..units).map(|u| [0.0, 0.3, 0.6].map(|d| 0.2 * (1.7 * u as f64 + d).sin())).collect();
         let still = |scene: &Scene| {
             let Energy { elastic, contact } = energy(scene, &design, &state);
-            let gradient = energy_gradient(scene, &design, &state).into_flattened();
-            [vec![elastic, contact], gradient, energy_design_gradient(scene, &design, &state)]
+            let (in_state, in_design) = energy_gradients(scene, &design, &state);
+            [vec![elastic, contact], in_state.into_flattened(), in_design]
         };
         let moving = |scene: &Scene| {
             let run = run(scene, &design, &forces, &plan(Integrator::Nystrom6, 24), true, &pool(1));

@@ -2,8 +2,8 @@
 
 use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
-    Energy, Forces, IntegratorSettings, Outcome, Scene, Simulation, Tolerance, Wrt, energy,
-    energy_design_gradient, energy_gradient, run, signal_error, simulate, start, tune,
+    Energy, Forces, IntegratorSettings, Outcome, Scene, Simulation, Tolerance, Wrt, energy, energy_gradients,
+    run, signal_error, simulate, start, tune,
 };
 use metasense_numerics::stimuli::resample;
 
@@ -57,8 +57,9 @@ pub fn energies(case: &Case) -> Result<Vec<ComparedQuantity>, CaseError> {
         let e = energy(&scene, &design, &state);
         elastic.push(e.elastic);
         contact.push(e.contact);
-        dx.extend(energy_gradient(&scene, &design, &state).into_flattened());
-        dalpha.extend(energy_design_gradient(&scene, &design, &state));
+        let (in_state, in_design) = energy_gradients(&scene, &design, &state);
+        dx.extend(in_state.into_flattened());
+        dalpha.extend(in_design);
         for (ligament, psi) in scene.layout.ligaments.iter().zip(&rest) {
             let turned = state[ligament.b.unit][2] - state[ligament.a.unit][2];
             voids.extend([psi[0] - turned, psi[1] + turned]);

@@ -40,7 +40,7 @@ pub(crate) use tasks::{task_errors, task_estimates, task_readouts};
 
 use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{
-    Counters, Decoder, DecoderKind, PreparedTrial, Problem, RateSchedule, Samples, Scales, Trouble,
+    Counters, Decoder, DecoderKind, PreparedTrial, Problem, RateSchedule, Result, Samples, Scales,
 };
 
 /// How a decoder is constructed.
@@ -87,7 +87,7 @@ pub(crate) trait FittedDecoder {
         iterations: usize,
         unseen: &Samples,
         pauses: &mut dyn FnMut(usize) -> bool,
-    ) -> Option<Result<(), Trouble>>;
+    ) -> Option<Result<()>>;
 
     /// Forces (N, T, K) (N) from signals (N, T, 3M) outside the training set.
     fn predict(&mut self, signals: &[f64]) -> Vec<f64>;
@@ -133,7 +133,7 @@ pub(crate) fn new_decoder<'a>(
     known: &'a Samples,
     scales: [Scales; 2],
     pool: &'a crate::Pool,
-) -> Result<Box<dyn FittedDecoder + 'a>, Trouble> {
+) -> Result<Box<dyn FittedDecoder + 'a>> {
     Ok(match recipe.kind {
         DecoderKind::Network | DecoderKind::Stacked => {
             Box::new(network::NetworkDecoder::new(recipe, known, scales, pool)?)
@@ -150,12 +150,7 @@ pub(crate) fn new_decoder<'a>(
 ///
 /// # Panics
 /// If the trial's decoder has no weights, or lengths do not match.
-pub fn predict_with(
-    trial: &PreparedTrial,
-    all: &Samples,
-    kinds: &[u8],
-    weights: &[f32],
-) -> Result<Vec<f64>, Trouble> {
+pub fn predict_with(trial: &PreparedTrial, all: &Samples, kinds: &[u8], weights: &[f32]) -> Result<Vec<f64>> {
     let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
     let known = all.select(&training);
     let scales = [trial.scales.clone(), trial.network_scales.clone()];
@@ -249,7 +244,7 @@ pub(crate) trait Learner {
         step: u32,
         learnt: &mut DecoderState,
         counters: &mut Counters,
-    ) -> Result<FitResult, Trouble>;
+    ) -> Result<FitResult>;
 
     /// Loss at fixed weights, if defined, and its cotangent on the signals (N, T, 3M).
     fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>);

@@ -78,16 +78,8 @@ impl<'a> NetworkDecoder<'a> {
             Some(stack) => stack.known(shape, known, &scales),
             None => data(shape, known, &scales),
         };
-        Ok(Self {
-            recipe,
-            known,
-            scales,
-            stack,
-            data,
-            fresh: None,
-            workspace: Workspace::new(shape, pool.width()),
-            pool,
-        })
+        let workspace = Workspace::new(shape, pool.width());
+        Ok(Self { recipe, known, scales, stack, data, fresh: None, workspace, pool })
     }
 
     /// Network inputs for signals (N, T, 3M) outside the training set.

@@ -10,7 +10,7 @@ use crate::stimuli::targets;
 use crate::trial::{Samples, Scales, Trouble};
 
 /// Estimates for records outside the training set.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct HeldOutEstimates {
     /// Estimated forces (n, T, K) (N) of the n unseen records.
     pub predictions: Vec<f64>,
@@ -72,14 +72,8 @@ impl HeldOutEstimates {
     /// A failed decoder estimates zero force, so its records have 100 % error.
     fn zero_estimates(unseen: &Samples, trouble: Trouble) -> Self {
         let predictions = vec![0.0; unseen.targets.len()];
-        Self {
-            errors: unseen.errors(&predictions),
-            predictions,
-            error_train: None,
-            losses: Vec::new(),
-            progress: Vec::new(),
-            trouble: Some(trouble),
-        }
+        let errors = unseen.errors(&predictions);
+        Self { predictions, errors, trouble: Some(trouble), ..Self::default() }
     }
 }
 

@@ -19,7 +19,7 @@ pub use weights::{ReadoutWeights, TaskReadouts};
 use super::readout::{Basis, Output};
 use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::random::Purpose;
-use crate::trial::{Counters, FAILED, PreparedTrial, Problem, Samples, Trouble, pick};
+use crate::trial::{Counters, FAILED, PreparedTrial, Problem, Result, Samples, Trouble, pick};
 use window::Window;
 
 /// Share of a sample's greatest force above which a panel counts as struck, and a force as started.
@@ -295,7 +295,7 @@ impl Labelled {
 
     /// # Errors
     /// If there are too few records, or a label does not vary.
-    fn fit(&self) -> Result<Readout, Trouble> {
+    fn fit(&self) -> Result<Readout> {
         if self.used.len() < RECORDS_MIN {
             return Err(Trouble::FewForces);
         }
@@ -320,10 +320,7 @@ impl Labelled {
 ///
 /// # Errors
 /// If the training samples are too few or too similar.
-pub(crate) fn task_errors(
-    trial: &PreparedTrial,
-    sets: &[Samples; 3],
-) -> Result<[Vec<Option<f64>>; 3], Trouble> {
+pub(crate) fn task_errors(trial: &PreparedTrial, sets: &[Samples; 3]) -> Result<[Vec<Option<f64>>; 3]> {
     let parts = trial.problem.parts();
     let labelled = [0, 1, 2].map(|set| Labelled::of(trial, &sets[set], &parts[set]));
     let readout = labelled[0].fit()?;
@@ -356,13 +353,7 @@ impl Learner for TaskLearner<'_> {
         false
     }
 
-    fn fit(
-        &mut self,
-        on: FitOn,
-        step: u32,
-        _: &mut DecoderState,
-        _: &mut Counters,
-    ) -> Result<FitResult, Trouble> {
+    fn fit(&mut self, on: FitOn, step: u32, _: &mut DecoderState, _: &mut Counters) -> Result<FitResult> {
         let problem = &self.trial.problem;
         let (samples, parts) = match on {
             FitOn::Recent(bodies, _) => {

@@ -76,28 +76,22 @@ impl fmt::Display for Violation {
         let [a, b] = self.units;
         let node = self.node.unwrap_or(0);
         let (value, limit) = (self.value, self.limit);
-        let (degrees, limit_degrees) = (value.to_degrees(), limit.to_degrees());
+        let (angle, bound) = (value.to_degrees(), limit.to_degrees());
         match self.kind {
             ViolationKind::NotFinite => write!(f, "unit {a}, node {node}: a coordinate is not finite"),
             ViolationKind::NotSimple => write!(f, "unit {a}: its edges cross, or it is inverted"),
             ViolationKind::Edge => write!(f, "unit {a}, edge from node {node}: {value:.4} mm < {limit} mm"),
             ViolationKind::BlockAngleLow => {
-                write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° < {limit_degrees:.3}°")
+                write!(f, "unit {a}, node {node}: interior angle {angle:.3}° < {bound:.3}°")
             }
             ViolationKind::BlockAngleHigh => {
-                write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° > {limit_degrees:.3}°")
+                write!(f, "unit {a}, node {node}: interior angle {angle:.3}° > {bound:.3}°")
             }
             ViolationKind::LigamentAngle => {
-                write!(
-                    f,
-                    "unit {a}, node {node}: {degrees:.3}° between edge and ligament < {limit_degrees:.3}°"
-                )
+                write!(f, "unit {a}, node {node}: {angle:.3}° between edge and ligament < {bound:.3}°")
             }
             ViolationKind::VoidAngle => {
-                write!(
-                    f,
-                    "units {a} and {b}, node {node} of {a}: void angle {degrees:.3}° < {limit_degrees:.3}°"
-                )
+                write!(f, "units {a} and {b}, node {node} of {a}: void angle {angle:.3}° < {bound:.3}°")
             }
             ViolationKind::Overlap => write!(f, "units {a} and {b} overlap"),
             ViolationKind::Clearance => write!(f, "units {a} and {b}: {value:.4} mm apart < {limit} mm"),
@@ -212,18 +206,10 @@ fn judge_ligaments(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found
         let along = ligament.reference;
         let at_a = beside_ligament(&units[a.unit], a.node, along);
         let at_b = beside_ligament(&units[b.unit], b.node, [-along[0], -along[1]]);
-        for (end, other, angles) in [(a, b, at_a), (b, a, at_b)] {
-            for angle in angles {
-                if !(angle >= limits.min_ligament_angle) {
-                    let node = Some(end.node);
-                    found.push(broken(
-                        ViolationKind::LigamentAngle,
-                        [end.unit, other.unit],
-                        node,
-                        angle,
-                        limits.min_ligament_angle,
-                    ));
-                }
+        let least = limits.min_ligament_angle;
+        for (units, node, angles) in [([a.unit, b.unit], a.node, at_a), ([b.unit, a.unit], b.node, at_b)] {
+            for angle in angles.into_iter().filter(|angle| !(*angle >= least)) {
+                found.push(broken(ViolationKind::LigamentAngle, units, Some(node), angle, least));
             }
         }
         // A void lies between the next edge of one end and the previous edge of the other.
@@ -338,13 +324,8 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
             (Some(_), _) => (one, other),
             _ => (other, one),
         };
-        found.push(broken(
-            ViolationKind::LigamentClearance,
-            [bar.units[0], thing.units[0]],
-            bar.node,
-            distance,
-            limit,
-        ));
+        let units = [bar.units[0], thing.units[0]];
+        found.push(broken(ViolationKind::LigamentClearance, units, bar.node, distance, limit));
     }
 }
 

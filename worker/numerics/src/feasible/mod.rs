@@ -81,10 +81,6 @@ pub struct FeasibleSet {
     limits: Limits,
     rows: rows::Rows,
     program: program::Program,
-    /// Per group: whether it keeps its previous shift.
-    fixed: Vec<bool>,
-    /// Per group, the first group that moves with it; `None` if all move independently.
-    leader: Option<Vec<usize>>,
 }
 
 impl FeasibleSet {
@@ -96,23 +92,17 @@ impl FeasibleSet {
                 fixed[group] = true;
             }
         }
-        let rows = rows::Rows::new(layout, limits);
-        Self {
-            layout: layout.clone(),
-            limits,
-            rows,
-            program: program::Program::default(),
-            fixed,
-            leader: None,
-        }
+        let (rows, program) = (rows::Rows::new(layout, limits), program::Program::new(fixed));
+        Self { layout: layout.clone(), limits, rows, program }
     }
 
     /// As [`FeasibleSet::new`], with shifts tied in blocks of `tie` cells. Targets and previous designs must have the same initial
     /// design and [`Freedom`]; results then have it too, up to rounding.
     pub fn moving(layout: &Layout, limits: Limits, tie: [usize; 2], frozen: &[usize]) -> Self {
         let freedom = Freedom::new(layout, tie, frozen);
-        let leader = freedom.is_tied().then(|| freedom.leaders().to_vec());
-        Self { leader, ..Self::new(layout, limits, frozen) }
+        let mut set = Self::new(layout, limits, frozen);
+        set.program.leader = freedom.is_tied().then(|| freedom.leaders().to_vec());
+        set
     }
 
     /// Every constraint that `design` violates, sorted by unit; empty if feasible. Independent of the projection.

@@ -17,10 +17,6 @@ pub(super) struct ProgramInput<'a> {
     pub wish: &'a [f64],
     /// w, per coordinate.
     pub weights: &'a [f64],
-    /// Per group: whether it is fixed.
-    pub fixed: &'a [bool],
-    /// Per group, the first group that moves with it, with equal weights and targets; `None`: all move independently.
-    pub leader: Option<&'a [usize]>,
     /// τ.
     pub proximal: f64,
     /// ρ; `None`: every row is hard.
@@ -36,8 +32,11 @@ pub(super) struct Step {
 }
 
 /// Clarabel, with the structure of the last program.
-#[derive(Default)]
 pub(super) struct Program {
+    /// Per group: whether it keeps its previous shift.
+    pub fixed: Vec<bool>,
+    /// Per group, the first group that moves with it, with equal weights and targets; `None`: all move independently.
+    pub leader: Option<Vec<usize>>,
     warm: Option<Warm>,
     /// Number of interior-point iterations so far.
     pub iterations: u64,
@@ -61,9 +60,19 @@ const ROUNDS: usize = 4;
 const AGREE: f64 = 1e-8;
 
 impl Program {
+    /// All groups move independently.
+    pub fn new(fixed: Vec<bool>) -> Self {
+        Self { fixed, leader: None, warm: None, iterations: 0, programs: 0 }
+    }
+
+    /// Forgets the last program, and counts from zero.
+    pub fn reset(&mut self) {
+        (self.warm, self.iterations, self.programs) = (None, 0, 0);
+    }
+
     /// Solves the program; `None` if it is infeasible or Clarabel fails.
     pub fn solve(&mut self, rows: &[Row], ask: &ProgramInput<'_>) -> Option<Step> {
-        let rows = movable(rows, ask);
+        let rows = self.movable(rows);
         let solved = self.clarabel(&rows, ask, false)?;
         let active = solved.multipliers.iter().zip(&solved.slacks).zip(&rows);
         let active = active.filter(|((z, s), _)| z > s).map(|(_, r)| r.key).collect();
@@ -72,18 +81,14 @@ impl Program {
 
     /// As `solve` with hard rows, starting from a guess of the active ones.
     pub fn solve_from(&mut self, rows: &[Row], ask: &ProgramInput<'_>, guess: &[Key]) -> Option<Step> {
-        let all = movable(rows, ask);
+        let all = self.movable(rows);
         let mut active: Vec<Key> = guess.to_vec();
         for _ in 0..ROUNDS {
             let chosen: Vec<&Row> =
                 all.iter().copied().filter(|r| active.binary_search(&r.key).is_ok()).collect();
             let Some(solved) = self.clarabel(&chosen, ask, true) else { break };
-            let mut next: Vec<Key> = chosen
-                .iter()
-                .zip(&solved.multipliers)
-                .filter(|(_, z)| **z >= -AGREE)
-                .map(|(r, _)| r.key)
-                .collect();
+            let kept = chosen.iter().zip(&solved.multipliers).filter(|(_, z)| **z >= -AGREE);
+            let mut next: Vec<Key> = kept.map(|(r, _)| r.key).collect();
             let mut agrees = next.len() == chosen.len();
             for row in &all {
                 if row.value_after(&solved.step) < MARGIN - AGREE && active.binary_search(&row.key).is_err() {
@@ -100,28 +105,33 @@ impl Program {
         self.solve(rows, ask)
     }
 
+    /// Rows that depend on a group that is not fixed.
+    fn movable<'a>(&self, rows: &'a [Row]) -> Vec<&'a Row> {
+        rows.iter().filter(|r| r.terms().iter().any(|t| !self.fixed[t.0 as usize])).collect()
+    }
+
     fn clarabel(&mut self, rows: &[&Row], ask: &ProgramInput<'_>, equations: bool) -> Option<Solved> {
         let free_step = |i: usize| {
             let (d, w) = (ask.wish[i], ask.weights[i]);
-            if ask.fixed[i / 2] { 0.0 } else { d * w / (w + ask.proximal) }
+            if self.fixed[i / 2] { 0.0 } else { d * w / (w + ask.proximal) }
         };
         let mut step: Vec<f64> = (0..ask.wish.len()).map(free_step).collect();
         if rows.is_empty() {
             return Some(Solved { step, multipliers: Vec::new(), slacks: Vec::new() });
         }
-        let tied: Vec<Row> = match ask.leader {
-            Some(leader) => rows.iter().map(|row| row.tied(leader, ask.fixed)).collect(),
+        let tied: Vec<Row> = match &self.leader {
+            Some(leader) => rows.iter().map(|row| row.tied(leader, &self.fixed)).collect(),
             None => rows.iter().map(|row| **row).collect(),
         };
         let rows = &tied;
-        let mut members = vec![1.0; ask.fixed.len()];
-        for (group, &leader) in ask.leader.into_iter().flatten().enumerate().filter(|(g, l)| g != *l) {
+        let mut members = vec![1.0; self.fixed.len()];
+        for (group, &leader) in self.leader.iter().flatten().enumerate().filter(|(g, l)| g != *l) {
             members[leader] += members[group];
         }
         // Local indices of the groups in rows, in order of group.
-        let mut local = vec![usize::MAX; ask.fixed.len()];
+        let mut local = vec![usize::MAX; self.fixed.len()];
         for &(g, _) in rows.iter().flat_map(|r| r.terms()) {
-            if !ask.fixed[g as usize] {
+            if !self.fixed[g as usize] {
                 local[g as usize] = 0;
             }
         }
@@ -207,7 +217,7 @@ impl Program {
                 for i in 0..free {
                     step[coordinate(i)] = solution.x[i];
                 }
-                for (group, &leader) in ask.leader.into_iter().flatten().enumerate() {
+                for (group, &leader) in self.leader.iter().flatten().enumerate() {
                     step.copy_within(2 * leader..2 * leader + 2, 2 * group);
                 }
                 let (multipliers, slacks) =
@@ -226,10 +236,6 @@ struct Solved {
     step: Vec<f64>,
     multipliers: Vec<f64>,
     slacks: Vec<f64>,
-}
-
-fn movable<'a>(rows: &'a [Row], ask: &ProgramInput<'_>) -> Vec<&'a Row> {
-    rows.iter().filter(|r| r.terms().iter().any(|t| !ask.fixed[t.0 as usize])).collect()
 }
 
 pub(super) fn settings() -> DefaultSettings<f64> {

@@ -133,13 +133,8 @@ impl Aim<'_> {
 
     /// ½ Σ w (x − target)².
     fn cost(&self, x: &[f64]) -> f64 {
-        0.5 * self
-            .target
-            .iter()
-            .zip(x)
-            .zip(&self.weights)
-            .map(|((t, x), w)| w * (t - x) * (t - x))
-            .sum::<f64>()
+        let terms = self.target.iter().zip(x).zip(&self.weights);
+        0.5 * terms.map(|((t, x), w)| w * (t - x) * (t - x)).sum::<f64>()
     }
 }
 
@@ -152,10 +147,10 @@ impl FeasibleSet {
     pub fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
         let n = self.layout.design_len();
         assert_eq!([previous.len(), target.len()], [n, n], "lengths of the designs");
-        self.program = super::program::Program::default();
+        self.program.reset();
         let mut target = target.to_vec();
         for (i, (t, p)) in target.iter_mut().zip(previous).enumerate() {
-            if self.fixed[i / 2] {
+            if self.program.fixed[i / 2] {
                 *t = *p;
             }
         }
@@ -199,14 +194,7 @@ impl FeasibleSet {
         let mut guess: Option<Vec<Key>> = None;
         for _ in 0..SEQUENCE_PROGRAMS {
             let wish = aim.wish(&x);
-            let ask = ProgramInput {
-                wish: &wish,
-                weights: &aim.weights,
-                fixed: &self.fixed,
-                leader: self.leader.as_deref(),
-                proximal: 0.0,
-                penalty: None,
-            };
+            let ask = ProgramInput { wish: &wish, weights: &aim.weights, proximal: 0.0, penalty: None };
             let solved = match &guess {
                 Some(active) => self.program.solve_from(&rows, &ask, active),
                 None => self.program.solve(&rows, &ask),
@@ -230,7 +218,7 @@ impl FeasibleSet {
     /// anticlockwise paths end in different designs. Rotates the edges farthest from their target by ±90° and continues from
     /// there.
     fn turn_edges(&mut self, aim: &Aim<'_>, mut best: Vec<f64>) -> Vec<f64> {
-        if self.layout.units() > LARGE || self.leader.is_some() {
+        if self.layout.units() > LARGE || self.program.leader.is_some() {
             return best;
         }
         let off =
@@ -245,7 +233,7 @@ impl FeasibleSet {
                 continue;
             };
             let groups = [here, there];
-            if groups.iter().any(|&g| self.fixed[g]) {
+            if groups.iter().any(|&g| self.program.fixed[g]) {
                 continue;
             }
             let (s, t) = (vertices[unit][p], vertices[unit][next]);
@@ -277,41 +265,30 @@ impl FeasibleSet {
 
     /// Whether a row holds, or depends on fixed groups only.
     fn holds(&self, row: &Row) -> bool {
-        row.value >= 0.0 || row.terms().iter().all(|t| self.fixed[t.0 as usize])
-    }
-
-    fn shortfall(&self, rows: &[Row]) -> f64 {
-        rows.iter().map(|r| (MARGIN - r.value).max(0.0)).sum()
+        row.value >= 0.0 || row.terms().iter().all(|t| self.program.fixed[t.0 as usize])
     }
 
     /// Proximal steps on the exact penalty from `x`, then a sequence from their end.
     fn path(&mut self, aim: &Aim<'_>, mut x: Vec<f64>) -> Option<Vec<f64>> {
         let mut near = self.rows.near(&x, REACH, 4.0);
         let mut rows = self.rows.collect(&near, &x, REACH);
-        let mut merit = aim.cost(&x) + PENALTY * self.shortfall(&rows);
+        let mut merit = aim.cost(&x) + PENALTY * shortfall(&rows, |r| r.value);
         let longest = aim.wish(&x).iter().fold(0.0_f64, |m, d| m.max(d.abs()));
         let mut proximal = (longest / STRIDE - 1.0).max(0.0);
         let mut feasible: Option<Vec<f64>> = None;
         for _ in 0..PATH_PROGRAMS {
             let wish = aim.wish(&x);
-            let ask = ProgramInput {
-                wish: &wish,
-                weights: &aim.weights,
-                fixed: &self.fixed,
-                leader: self.leader.as_deref(),
-                proximal,
-                penalty: Some(PENALTY),
-            };
+            let ask = ProgramInput { wish: &wish, weights: &aim.weights, proximal, penalty: Some(PENALTY) };
             let Some(Step { step, .. }) = self.program.solve(&rows, &ask) else {
                 proximal = 4.0 * proximal.max(0.25);
                 continue;
             };
             let trial: Vec<f64> = x.iter().zip(&step).map(|(x, d)| x + d).collect();
-            let model = aim.cost(&trial) + PENALTY * linear_shortfall(&rows, &step);
+            let model = aim.cost(&trial) + PENALTY * shortfall(&rows, |r| r.value_after(&step));
             let mut near_trial = near.clone();
             self.rows.refresh(&mut near_trial, &trial, REACH);
             let rows_trial = self.rows.collect(&near_trial, &trial, REACH);
-            let merit_trial = aim.cost(&trial) + PENALTY * self.shortfall(&rows_trial);
+            let merit_trial = aim.cost(&trial) + PENALTY * shortfall(&rows_trial, |r| r.value);
             let (predicted, actual) = (merit - model, merit - merit_trial);
             if predicted <= 1e-7 * merit || proximal > 1e6 {
                 break;
@@ -404,6 +381,7 @@ fn squares(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x).sum()
 }
 
-fn linear_shortfall(rows: &[Row], step: &[f64]) -> f64 {
-    rows.iter().map(|row| (MARGIN - row.value_after(step)).max(0.0)).sum()
+/// Σ max(0, ε − c) for these values c of the rows.
+fn shortfall(rows: &[Row], value: impl Fn(&Row) -> f64) -> f64 {
+    rows.iter().map(|row| (MARGIN - value(row)).max(0.0)).sum()
 }

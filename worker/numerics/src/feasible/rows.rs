@@ -220,14 +220,6 @@ impl Rows {
         self.unit(if n == a as usize { b } else { a } as usize)
     }
 
-    fn gap(&self, a: &Piece, b: &Piece) -> f64 {
-        if a.is_ligament() || b.is_ligament() {
-            self.limits.ligament_clearance
-        } else {
-            self.limits.clearance
-        }
-    }
-
     /// Pairs whose bounding boxes come within their gap + `window` if each coordinate moves by up to `margin`/2.
     pub fn near(&self, design: &[f64], window: f64, margin: f64) -> Near {
         let at = self.place(design);
@@ -320,7 +312,11 @@ impl Rows {
             self.ligament_rows(&at, l, window, &mut rows);
         }
         for &(i, j) in &near.pairs {
-            self.pair_rows(&at, &self.pieces[i as usize], &self.pieces[j as usize], window, &mut rows);
+            let (a, b, first) = (&self.pieces[i as usize], &self.pieces[j as usize], rows.len());
+            let bar = a.is_ligament() || b.is_ligament();
+            let gap = if bar { self.limits.ligament_clearance } else { self.limits.clearance };
+            self.gap_rows(&at, a, b, gap, window, &mut rows);
+            rows[first..].iter_mut().for_each(|row| row.bar = bar);
         }
         rows.sort_by(|a, b| a.key.cmp(&b.key).then(a.value.total_cmp(&b.value)));
         rows.dedup_by(|b, a| a.key == b.key);
@@ -380,13 +376,9 @@ impl Rows {
             let high = size * (limits.max_block_angle - angle);
             if high < window {
                 let key = Key { kind: RowKind::AngleHigh, at: [here, 0, 0] };
-                let flip = |g| scale(-1.0, g);
-                self.row(
-                    key,
-                    high,
-                    &[(next, flip(g_next)), (last, flip(g_last)), (here, flip(g_here))],
-                    rows,
-                );
+                let terms =
+                    [(next, g_next), (last, g_last), (here, g_here)].map(|(n, g)| (n, scale(-1.0, g)));
+                self.row(key, high, &terms, rows);
             }
         }
     }
@@ -430,27 +422,14 @@ impl Rows {
                 if value < window {
                     let (g, k) = (scale(size, one.1), scale(size, other.1));
                     let key = Key { kind: RowKind::Void, at: [node, l, 0] };
-                    self.row(
-                        key,
-                        value,
-                        &[(one.2, g), (other.2, k), (node, [-g[0] - k[0], -g[1] - k[1]])],
-                        rows,
-                    );
+                    let terms = [(one.2, g), (other.2, k), (node, [-g[0] - k[0], -g[1] - k[1]])];
+                    self.row(key, value, &terms, rows);
                 }
             }
         }
     }
 
-    fn pair_rows(&self, at: &[Point], a: &Piece, b: &Piece, window: f64, rows: &mut Vec<Row>) {
-        let first = rows.len();
-        self.gap_rows(at, a, b, window, rows);
-        for row in &mut rows[first..] {
-            row.bar = a.is_ligament() || b.is_ligament();
-        }
-    }
-
-    fn gap_rows(&self, at: &[Point], a: &Piece, b: &Piece, window: f64, rows: &mut Vec<Row>) {
-        let gap = self.gap(a, b);
+    fn gap_rows(&self, at: &[Point], a: &Piece, b: &Piece, gap: f64, window: f64, rows: &mut Vec<Row>) {
         let (apart, normal, owner_first, edge) = separation(at, a, b);
         if apart - gap >= window {
             return;

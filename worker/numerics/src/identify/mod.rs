@@ -1,9 +1,9 @@
 //! Fits a cast to measured records: its material, and every other property that manufacture scatters.
 //!
 //! ```text
-//! min over z:  F = ½ ‖R^{-½} (y − a(z))‖² + ½ ‖z‖²      z standard normal, of what a [`Variation`] scatters; R noise and bias
+//! min over z:  F = ½ ‖R^{-½} (y − a(z))‖² + ½ ‖z‖²      z standard normal, of what [`Deviations`] scatter; R noise and bias
 //! ```
-//! The fit is the maximum a posteriori estimate; z holds the unknowns of a [`Variation`], R the noise and bias. A free parameter stays
+//! The fit is the maximum a posteriori estimate; z holds the unknowns of [`Deviations`], R the noise and bias. A free parameter stays
 //! within a factor of `BOX` of the spec. All other scattered properties are fitted too, so that intervals cover shifted nodes. `descent`
 //! has the steps, `search` the windows and starts.
 
@@ -186,7 +186,7 @@ pub struct Fit {
 }
 
 /// How a twin reproduces measured records.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct MeasuredFit {
     /// RMS residual of accelerations and rotation rates (% of the signals' RMS), at the start and at the end.
     pub misfit: [[f64; 2]; 2],
@@ -222,20 +222,14 @@ impl Fit {
             unmodelled: None,
             undetermined: Vec::new(),
             correlation: Vec::new(),
-            measured: MeasuredFit {
-                misfit: [[100.0; 2]; 2],
-                residual: [0.0; 2],
-                signals: [Vec::new(), Vec::new()],
-                iterations: Vec::new(),
-                solver: String::new(),
-            },
+            measured: MeasuredFit { misfit: [[100.0; 2]; 2], ..MeasuredFit::default() },
             steps: 0,
             counters: SimulationCounts::default(),
         }
     }
 
     /// Fits a cast of a trial's body to signals (N, T, channels) as its chips return them under `forces`. The prior is the trial's
-    /// variation, or [`Variation::USUAL`]. The caller must leave out failed samples. Returns `None` if `go_on` returns `false`.
+    /// variation, or [`Deviations::USUAL`]. The caller must leave out failed samples. Returns `None` if `go_on` returns `false`.
     ///
     /// # Panics
     /// If lengths do not match.
@@ -264,7 +258,7 @@ impl Fit {
     }
 
     /// Fits a problem's body of this design to measured records, with intervals. `free` parameters are fitted and other parameters held at
-    /// the spec. If `free` is empty, parameters scatter as in the trial's variation, or [`Variation::USUAL`]; other properties always do.
+    /// the spec. If `free` is empty, parameters scatter as in the trial's variation, or [`Deviations::USUAL`]; other properties always do.
     /// Relative noise in the spec refers to the records.
     ///
     /// The result does not depend on the number of threads. `known` holds earlier turns of the same fit; `watch` receives each new turn.

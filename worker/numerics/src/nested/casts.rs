@@ -12,7 +12,7 @@ use super::state::State;
 use crate::brains::{Band, Fitted, FittedDecoder, NetworkTraining, Pooled, Recipe, new_decoder};
 use crate::random::Purpose;
 use crate::trial::{
-    Counters, Decoder, DecoderKind, DesignWithSolver, PreparedTrial, Problem, RidgeChoice, Samples, Trouble,
+    Counters, Decoder, DecoderKind, DesignWithSolver, PreparedTrial, Problem, Result, RidgeChoice, Samples,
     as_ref_result,
 };
 use crate::variation::{Cast, Casts};
@@ -26,14 +26,14 @@ const KNOWN_FIRST: u64 = 1 << 40;
 pub const RECORDS: [usize; 3] = [10, 30, 100];
 
 /// Training samples of the body as designed, and samples of many casts.
-type FittingSamples = [Result<Samples, Trouble>; 2];
+type FittingSamples = [Result<Samples>; 2];
 
 /// The decoders fitted before a cast is evaluated, and the numbers of records.
 struct CastDecoders<'a> {
     /// Trained on the body as designed and on many casts; empty unless the trial's decoder is a network.
-    networks: Vec<Result<Box<dyn FittedDecoder + 'a>, Trouble>>,
-    nominal: Result<Fitted, Trouble>,
-    casts: Result<Pooled, Trouble>,
+    networks: Vec<Result<Box<dyn FittedDecoder + 'a>>>,
+    nominal: Result<Fitted>,
+    casts: Result<Pooled>,
     /// Numbers of records of a cast on which decoders are calibrated.
     records: Vec<usize>,
 }
@@ -63,13 +63,8 @@ pub(super) fn evaluate_casts(
     let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == RidgeChoice::Auto);
     let mut brains = log.timed(|s| &mut s.train, |_| CastDecoders::new(trial, &fitting_samples, ridge));
     if problem.decoder_kind.is_network() {
-        brains.networks = networks(
-            trial,
-            [as_ref_result(&fitting_samples[0]), as_ref_result(&some)],
-            (turn, ridge),
-            state,
-            log,
-        )?;
+        let known = [as_ref_result(&fitting_samples[0]), as_ref_result(&some)];
+        brains.networks = networks(trial, known, (turn, ridge), state, log)?;
     }
     if done > 0 {
         log.report.counters = counted;
@@ -121,11 +116,11 @@ fn thin_samples(casts: &Samples, training: usize) -> Samples {
 /// observer stopped it.
 fn networks<'a>(
     trial: &'a PreparedTrial<'a>,
-    known: [Result<&'a Samples, Trouble>; 2],
+    known: [Result<&'a Samples>; 2],
     (turn, ridge): (usize, Option<f64>),
     state: &mut State,
     log: &mut Log,
-) -> Option<Vec<Result<Box<dyn FittedDecoder + 'a>, Trouble>>> {
+) -> Option<Vec<Result<Box<dyn FittedDecoder + 'a>>>> {
     let (recipe, [nominal, casts]) = (trial.problem.recipe(), known);
     let casts = match casts {
         Ok(known) => weights_for(trial, known, state, log)?.map(|weights| (known, weights)),
@@ -155,7 +150,7 @@ fn weights_for(
     known: &Samples,
     state: &mut State,
     log: &mut Log,
-) -> Option<Result<Vec<f32>, Trouble>> {
+) -> Option<Result<Vec<f32>>> {
     let scales = trial.scales_of(&known.signals);
     let mut reader = match new_decoder(trial.problem.recipe(), known, scales, trial.pool) {
         Ok(reader) => reader,
@@ -181,14 +176,13 @@ pub enum DecoderForCasts {
 ///
 /// # Errors
 /// If these casts cannot be simulated, or fitting fails.
-pub fn brain_for_casts(trial: &PreparedTrial, design: &[f64]) -> Result<DecoderForCasts, Trouble> {
+pub fn brain_for_casts(trial: &PreparedTrial, design: &[f64]) -> Result<DecoderForCasts> {
     let solver = &trial.tuned(design).solver;
     let casts = samples_of_casts(&DesignWithSolver { trial, design, solver }, &mut Counters::default());
     if !trial.problem.decoder_kind.is_network() {
         let casts = casts?;
-        return Ok(DecoderForCasts::Linear(
-            Pooled::new(trial, &casts, casts.count() / KNOWN_SAMPLES)?.fitted,
-        ));
+        let pooled = Pooled::new(trial, &casts, casts.count() / KNOWN_SAMPLES)?;
+        return Ok(DecoderForCasts::Linear(pooled.fitted));
     }
     let (mut state, mut observer) = (State::new(&trial.problem), NoObserver);
     let samples = thin_samples(&casts?, trial.train.samples);
@@ -237,7 +231,7 @@ fn known(mould: &DesignWithSolver, counters: &mut Counters) -> FittingSamples {
 }
 
 /// Samples of the `FITTING_CASTS` casts.
-fn samples_of_casts(mould: &DesignWithSolver, counters: &mut Counters) -> Result<Samples, Trouble> {
+fn samples_of_casts(mould: &DesignWithSolver, counters: &mut Counters) -> Result<Samples> {
     let trial = mould.trial;
     let one = |number: usize, counters: &mut Counters| {
         let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
@@ -259,11 +253,7 @@ fn samples_of_casts(mould: &DesignWithSolver, counters: &mut Counters) -> Result
 }
 
 /// Training samples of a cast, empty unless decoders are calibrated on them, and its held-out samples.
-fn sets(
-    mould: &DesignWithSolver,
-    cast: Option<&Cast>,
-    counters: &mut Counters,
-) -> Result<[Samples; 2], Trouble> {
+fn sets(mould: &DesignWithSolver, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2]> {
     let problem = &mould.trial.problem;
     let [train, _] = problem.training_and_test();
     let mut of = |forces| mould.samples(cast, forces, counters);
@@ -296,7 +286,7 @@ impl CastDecoders<'_> {
         &mut self,
         trial: &PreparedTrial,
         cast: u32,
-        sets: &Result<[Samples; 2], Trouble>,
+        sets: &Result<[Samples; 2]>,
         bands: &mut Vec<BandCoverage>,
     ) -> Vec<CastEvaluation> {
         let networks =
@@ -340,8 +330,8 @@ impl CastDecoders<'_> {
         by: CastDecoder,
         train: &Samples,
         signals: &[f64],
-    ) -> Result<(Vec<f64>, Regularisation), Trouble> {
-        let network = |network: &mut Result<Box<dyn FittedDecoder + '_>, Trouble>| {
+    ) -> Result<(Vec<f64>, Regularisation)> {
+        let network = |network: &mut Result<Box<dyn FittedDecoder + '_>>| {
             let network = network.as_mut().map_err(|trouble| *trouble)?;
             Ok((network.predict(signals), Regularisation { ridge: network.ridge(), kappa: None }))
         };

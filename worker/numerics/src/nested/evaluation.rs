@@ -3,7 +3,7 @@
 use super::report::Seconds;
 use super::{Nonlinear, UnderReading};
 use crate::brains::{Band, NetworkTraining, Reading, TaskEstimate};
-use crate::trial::{Counters, FAILED, Problem, Spread, Trouble, mean_error};
+use crate::trial::{Counters, FAILED, Problem, Result, Spread, Trouble, mean_error};
 
 /// A fresh decoder on a body.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -84,23 +84,14 @@ impl CastEvaluation {
     /// From the errors of the held-out samples, or from the failure.
     pub(super) fn new(
         cast: u32,
-        by: CastDecoder,
-        found: Result<(Vec<Option<f64>>, Regularisation), Trouble>,
+        decoder: CastDecoder,
+        found: Result<(Vec<Option<f64>>, Regularisation)>,
     ) -> Self {
-        match found {
-            Ok((errors, regularisation)) => {
-                let (error, spread) = (mean_error(&errors), Spread::of(&errors));
-                Self { cast, decoder: by, error, spread, regularisation, trouble: None }
-            }
-            Err(trouble) => Self {
-                cast,
-                decoder: by,
-                error: Some(FAILED),
-                spread: Some(Spread::FAILED),
-                regularisation: Regularisation::default(),
-                trouble: Some(trouble),
-            },
-        }
+        let (error, spread, regularisation, trouble) = match found {
+            Ok((errors, regularisation)) => (mean_error(&errors), Spread::of(&errors), regularisation, None),
+            Err(trouble) => (Some(FAILED), Some(Spread::FAILED), Regularisation::default(), Some(trouble)),
+        };
+        Self { cast, decoder, error, spread, regularisation, trouble }
     }
 }
 

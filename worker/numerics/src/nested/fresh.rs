@@ -11,7 +11,7 @@ use crate::brains::{
 };
 use crate::random::Purpose;
 use crate::trial::{
-    Counters, DecoderKind, DesignWithSolver, PreparedTrial, Problem, RidgeChoice, Samples, Trouble,
+    Counters, DecoderKind, DesignWithSolver, PreparedTrial, Problem, Result, RidgeChoice, Samples,
     as_ref_result, mean_error,
 };
 use crate::variation::Casts;
@@ -25,11 +25,9 @@ impl BodyEvaluation {
         let linear = !problem.decoder_kind.is_network();
         let seeds = if linear { 1 } else { problem.evaluation.seeds };
         let long = problem.evaluation.long.filter(|_| !linear);
-        let short =
-            (self.networks.len() < seeds).then_some((self.networks.len(), problem.brain.iterations, false));
-        short.or(long
-            .filter(|_| self.long.len() < seeds)
-            .map(|iterations| (self.long.len(), iterations, true)))
+        let (done, done_long) = (self.networks.len(), self.long.len());
+        let short = (done < seeds).then_some((done, problem.brain.iterations, false));
+        short.or(long.filter(|_| done_long < seeds).map(|iterations| (done_long, iterations, true)))
     }
 }
 
@@ -121,7 +119,7 @@ pub(super) fn evaluate(
 }
 
 /// Estimates of all tasks on a body with these training, test and held-out samples, and on its casts.
-fn estimates(mould: &DesignWithSolver, sets: &[Samples; 3]) -> Result<Vec<TaskEstimate>, Trouble> {
+fn estimates(mould: &DesignWithSolver, sets: &[Samples; 3]) -> Result<Vec<TaskEstimate>> {
     let (trial, problem) = (mould.trial, &mould.trial.problem);
     let holdout = |number: usize| {
         let cast = trial.cast(Casts::Unseen, number as u64);
@@ -134,7 +132,7 @@ fn estimates(mould: &DesignWithSolver, sets: &[Samples; 3]) -> Result<Vec<TaskEs
 ///
 /// # Errors
 /// If the design cannot be simulated, or gives too few samples with force.
-pub fn estimate_tasks(trial: &PreparedTrial, design: &[f64]) -> Result<Vec<TaskEstimate>, Trouble> {
+pub fn estimate_tasks(trial: &PreparedTrial, design: &[f64]) -> Result<Vec<TaskEstimate>> {
     let solver = &trial.tuned(design).solver;
     let mould = DesignWithSolver { trial, design, solver };
     estimates(&mould, &sets(&mould, &mut Counters::default())?)
@@ -144,14 +142,14 @@ pub fn estimate_tasks(trial: &PreparedTrial, design: &[f64]) -> Result<Vec<TaskE
 ///
 /// # Errors
 /// As [`estimate_tasks`].
-pub fn fit_readouts(trial: &PreparedTrial, design: &[f64]) -> Result<TaskReadouts, Trouble> {
+pub fn fit_readouts(trial: &PreparedTrial, design: &[f64]) -> Result<TaskReadouts> {
     let solver = &trial.tuned(design).solver;
     let sets = sets(&DesignWithSolver { trial, design, solver }, &mut Counters::default())?;
     task_readouts(trial, &sets)
 }
 
 /// Training, test and held-out samples of a body.
-fn sets(mould: &DesignWithSolver, counters: &mut Counters) -> Result<[Samples; 3], Trouble> {
+fn sets(mould: &DesignWithSolver, counters: &mut Counters) -> Result<[Samples; 3]> {
     let problem = &mould.trial.problem;
     let mut of = |forces| mould.samples(None, forces, counters);
     // all training samples, including those on which the initial body failed
@@ -171,14 +169,13 @@ fn band_calibration_samples(
     mould: &DesignWithSolver,
     holdout: &Samples,
     counters: &mut Counters,
-) -> Result<Samples, Trouble> {
+) -> Result<Samples> {
     let problem = &mould.trial.problem;
     match problem.first_band_sample(holdout.count()) {
-        0 => mould.samples(
-            None,
-            problem.forces(Purpose::Fresh, CALIBRATION_FIRST, CALIBRATION_SAMPLES),
-            counters,
-        ),
+        0 => {
+            let forces = problem.forces(Purpose::Fresh, CALIBRATION_FIRST, CALIBRATION_SAMPLES);
+            mould.samples(None, forces, counters)
+        }
         first => Ok(holdout.select(&(0..first).collect::<Vec<_>>())),
     }
 }
@@ -198,13 +195,13 @@ pub(super) fn fit_and_evaluate(
         if let Some(training) = reader.training() {
             *training = state.comparison.training.take();
         }
-        let (start_seconds, mut control) = (log.seconds(), LoopControl::Continue);
+        let (start_seconds, mut control) = (log.observer.seconds(), LoopControl::Continue);
         let mut pauses = |iterations: usize| {
-            control = log.progress(state.comparison.completed_fraction(iterations, &trial.problem));
+            control = log.observer.progress(state.comparison.completed_fraction(iterations, &trial.problem));
             control == LoopControl::Stop || log.save_is_due()
         };
         let outcome = reader.fit(number as u64, iterations, &sets[2], &mut pauses);
-        log.report.seconds.train += log.seconds() - start_seconds;
+        log.report.seconds.train += log.observer.seconds() - start_seconds;
         if let Some(outcome) = outcome {
             break outcome;
         }

@@ -50,7 +50,7 @@ impl Observe for NoObserver {
 /// The current report, and the clock.
 pub(super) struct Log<'a> {
     pub(super) report: Report,
-    observer: &'a mut dyn Observe,
+    pub(super) observer: &'a mut dyn Observe,
     /// When the state was last saved (s); at first, when the log was created.
     saved: f64,
 }
@@ -70,10 +70,7 @@ impl<'a> Log<'a> {
         part: fn(&mut Seconds) -> &mut f64,
         work: impl FnOnce(&mut Report) -> T,
     ) -> T {
-        let start = self.observer.seconds();
-        let result = work(&mut self.report);
-        *part(&mut self.report.seconds) += self.observer.seconds() - start;
-        result
+        self.timed_while(0.0, part, |report, _| work(report))
     }
 
     /// As [`Self::timed`]; `work` can ask whether to continue. `done`: completed fraction of the whole trial.
@@ -90,14 +87,6 @@ impl<'a> Log<'a> {
         result
     }
 
-    pub(super) fn seconds(&mut self) -> f64 {
-        self.observer.seconds()
-    }
-
-    pub(super) fn progress(&mut self, fraction: f64) -> LoopControl {
-        self.observer.progress(fraction)
-    }
-
     pub(super) fn save_is_due(&mut self) -> bool {
         self.observer.seconds() - self.saved >= SAVE_EVERY
     }
@@ -111,7 +100,7 @@ impl<'a> Log<'a> {
 
     /// Reports the progress of the comparison; `None` if the observer stops it. The observer then has the state.
     pub(super) fn report_progress(&mut self, problem: &Problem, state: &mut State) -> Option<()> {
-        let wanted = self.progress(state.comparison.completed_fraction(0, problem));
+        let wanted = self.observer.progress(state.comparison.completed_fraction(0, problem));
         if wanted == LoopControl::Stop || self.save_is_due() {
             self.save(state);
         }

@@ -14,11 +14,11 @@ use super::observe::Log;
 use super::state::{PastDesign, State};
 use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
-use crate::dynamics::{Forces, IntegratorSettings};
+use crate::dynamics::Forces;
 use crate::random::Purpose;
 use crate::trial::{
-    CastObjective, Counters, DecoderKind, FAILED, ObjectiveDomain, PreparedTrial, Response, Samples,
-    StepTraining, Terms, TrainingProtocol, Trouble,
+    CastObjective, Counters, DecoderKind, FAILED, ObjectiveDomain, PreparedTrial, Response, Result, Samples,
+    Terms, TrainingProtocol, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -56,31 +56,26 @@ impl<'a> Session<'a> {
     }
 
     /// Simulates the state's design, trains the decoder on it, and differentiates the loss.
-    pub(super) fn train_and_differentiate(
-        &mut self,
-        state: &mut State,
-        log: &mut Log,
-    ) -> Result<StepResult, Trouble> {
+    pub(super) fn train_and_differentiate(&mut self, state: &mut State, log: &mut Log) -> Result<StepResult> {
         match self.trial.problem.optimise.protocol {
             TrainingProtocol::Paper(terms) => self.paper(state, terms, log),
-            TrainingProtocol::Joint(going) => self.joint(state, going, log),
+            TrainingProtocol::Joint(going) => self.joint(state, going.batch, log),
             TrainingProtocol::Random(_) => self.candidate(state, log),
         }
     }
 
-    fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<StepResult, Trouble> {
-        let (trial, moves) = (self.trial, self.moves(state.step));
+    fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<StepResult> {
+        let moves = self.moves(state.step);
         let through_brain = terms == Terms::Implicit && moves;
         // A(α), with a tape only where a gradient is needed
-        let tapes = [through_brain, moves];
-        let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
-        let [train, test] = self.simulate(state, sets, tapes, solver, log)?;
+        let [train, test] = self.simulate(state, [through_brain, moves], log)?;
 
         // β*(A)
         let loss_train = self.fit(FitOn::Optimum(&train.samples), state, log)?;
 
         // dL_test/dα, directly
-        let (loss_test, cotangent) = self.cotangent(&test.samples, Loss::Test, log);
+        let (loss_test, cotangent) =
+            log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(&test.samples, Loss::Test));
         log.report.loss_test = loss_test;
         let mut gradient = self.vjp(&test, cotangent, log)?;
 
@@ -99,12 +94,8 @@ impl<'a> Session<'a> {
     }
 
     /// Trains on fresh samples of this and recent bodies; differentiates the loss on this body's samples.
-    fn joint(
-        &mut self,
-        state: &mut State,
-        going: StepTraining,
-        log: &mut Log,
-    ) -> Result<StepResult, Trouble> {
+    /// `batch`: number of samples per cast.
+    fn joint(&mut self, state: &mut State, batch: usize, log: &mut Log) -> Result<StepResult> {
         let (learner, step) = (&self.learner, state.step);
         let past: Vec<&PastDesign> =
             state.recent_designs.iter().filter(|passed| learner.includes_age(step - passed.step)).collect();
@@ -112,14 +103,14 @@ impl<'a> Session<'a> {
         let counted = log.report.counters;
         for passed in past {
             if self.recent.iter().all(|(known, _)| *known != passed.step) {
-                let casts = self.simulate_fresh(&passed.design, passed.step, going, false, log)?;
+                let casts = self.simulate_fresh(&passed.design, passed.step, batch, false, log)?;
                 self.recent.push((passed.step, joined(&casts)));
             }
         }
         // a resumed loop simulates them again: work counts once
         log.report.counters = counted;
         self.recent.sort_by_key(|(known, _)| *known);
-        let newest = self.simulate_fresh(&state.design, step, going, self.moves(step), log)?;
+        let newest = self.simulate_fresh(&state.design, step, batch, self.moves(step), log)?;
         self.recent.push((step, joined(&newest)));
 
         let recent = std::mem::take(&mut self.recent);
@@ -127,21 +118,16 @@ impl<'a> Session<'a> {
         let fitted = self.fit(FitOn::Recent(&bodies, newest.len()), state, log);
         self.recent = recent;
         let loss_train = fitted?;
-        let gradient = if self.moves(step) { self.gradient(&newest, going, log)? } else { Vec::new() };
-        let error_test = self.evaluate_test_set(state, log)?;
+        let gradient = if self.moves(step) { self.gradient(&newest, batch, log)? } else { Vec::new() };
+        let error_test = self.evaluate_test_set(state, batch, log)?;
         Ok(StepResult { gradient, loss_train, error_test })
     }
 
     /// Gradient of the objective over the casts of a body, to which the decoder has just been fitted.
-    fn gradient(
-        &mut self,
-        newest: &[Response],
-        going: StepTraining,
-        log: &mut Log,
-    ) -> Result<Vec<f64>, Trouble> {
+    fn gradient(&mut self, newest: &[Response], batch: usize, log: &mut Log) -> Result<Vec<f64>> {
         let casting = self.trial.problem.optimise.casting;
         let first = match casting {
-            Some(casting) => self.initial_losses(casting, going, log)?[1].clone(),
+            Some(casting) => self.initial_losses(casting, batch, log)?[1].clone(),
             None => Vec::new(),
         };
         let weigh = |losses: &[Option<f64>]| match casting {
@@ -162,15 +148,15 @@ impl<'a> Session<'a> {
     fn initial_losses(
         &mut self,
         casting: CastObjective,
-        going: StepTraining,
+        batch: usize,
         log: &mut Log,
-    ) -> Result<&[Vec<f64>; 2], Trouble> {
+    ) -> Result<&[Vec<f64>; 2]> {
         if casting.over == ObjectiveDomain::Parts && self.first[0].is_empty() {
             self.first = [(); 2].map(|()| vec![1.0; casting.casts]);
             if casting.tail < 1.0 {
                 let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
                 let mut learner = learner(trial);
-                let parts = self.simulate_fresh(&trial.problem.initial, 0, going, false, log)?;
+                let parts = self.simulate_fresh(&trial.problem.initial, 0, batch, false, log)?;
                 let samples: Vec<&Samples> = parts.iter().map(|part| &part.samples).collect();
                 let mut learnt = State::new(&trial.problem).decoder_state;
                 let on = FitOn::Recent(&[&joined(&parts)], parts.len());
@@ -194,10 +180,8 @@ impl<'a> Session<'a> {
 
     /// Evaluates a search's candidate: its test error with a decoder trained on its training set alone. A continued decoder would
     /// favour later candidates.
-    fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<StepResult, Trouble> {
-        let trial = self.trial;
-        let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
-        let [train, test] = self.simulate(state, sets, [false; 2], solver, log)?;
+    fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<StepResult> {
+        let [train, test] = self.simulate(state, [false; 2], log)?;
         let loss_train = self.learn(FitOn::Alike(&train.samples), state, log)?;
         let error_test = self.test_error(&test.samples, log);
         match loss_train.is_finite() {
@@ -206,43 +190,31 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Simulates the state's design under the forces of two sets, the training set first; `tapes`: whether gradients follow.
-    fn simulate(
-        &self,
-        state: &State,
-        sets: [&Forces; 2],
-        tapes: [bool; 2],
-        solver: IntegratorSettings,
-        log: &mut Log,
-    ) -> Result<[Response; 2], Trouble> {
+    /// Simulates the state's design under the forces of the training and the test set; `tapes`: whether gradients follow.
+    fn simulate(&self, state: &State, tapes: [bool; 2], log: &mut Log) -> Result<[Response; 2]> {
+        let (trial, design, solver) = (self.trial, &state.design, &self.trial.problem.solver);
         log.timed(
             |s| &mut s.simulate,
             |report| {
-                let (trial, design, counters) = (self.trial, &state.design, &mut report.counters);
-                let mut train = trial.simulate(design, sets[0], &solver, tapes[0], counters)?;
-                let other =
-                    trial.simulate_cast(None, design, sets[1].clone(), &solver, tapes[1], counters)?;
+                let counters = &mut report.counters;
+                let mut train = trial.simulate(design, &trial.train, solver, tapes[0], counters)?;
+                let test =
+                    trial.simulate_cast(None, design, trial.test.clone(), solver, tapes[1], counters)?;
                 // samples on which the initial body failed train no body, and count as failed for every body
-                train.samples.failed.clone_from(&self.trial.initial.failed);
-                Ok([train, other])
+                train.samples.failed.clone_from(&trial.initial.failed);
+                Ok([train, test])
             },
         )
     }
 
-    /// The integrator of outer steps of `joint`.
-    fn solver(&self) -> IntegratorSettings {
-        let problem = &self.trial.problem;
-        problem.optimise.coarse.unwrap_or(problem.solver)
-    }
-
     /// Trains the decoder; checks its training loss (normalised) against the trend.
-    fn fit(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
+    fn fit(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64> {
         let loss = self.learn(on, state, log)?;
         state.check_trend(loss)?;
         Ok(loss)
     }
 
-    fn learn(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
+    fn learn(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64> {
         let State { step, decoder_state: learnt, trend, .. } = state;
         let ridge = learnt.ridge;
         let learned =
@@ -256,13 +228,8 @@ impl<'a> Session<'a> {
         Ok(learned.loss)
     }
 
-    /// A loss on a body's samples, and its cotangent on the signals at fixed weights.
-    fn cotangent(&mut self, samples: &Samples, loss: Loss, log: &mut Log) -> (Option<f64>, Vec<f64>) {
-        log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(samples, loss))
-    }
-
     /// dL/dα from the cotangent on a body's signals; empty if the step does not move the body.
-    fn vjp(&self, response: &Response, cotangent: Vec<f64>, log: &mut Log) -> Result<Vec<f64>, Trouble> {
+    fn vjp(&self, response: &Response, cotangent: Vec<f64>, log: &mut Log) -> Result<Vec<f64>> {
         if !self.moves(log.report.step) {
             return Ok(Vec::new());
         }
@@ -274,12 +241,7 @@ impl<'a> Session<'a> {
     }
 
     /// dL/dα of each cast from the cotangents on its signals, in parallel.
-    fn vjps(
-        &self,
-        casts: &[Response],
-        cotangents: &[Vec<f64>],
-        log: &mut Log,
-    ) -> Result<Vec<Vec<f64>>, Trouble> {
+    fn vjps(&self, casts: &[Response], cotangents: &[Vec<f64>], log: &mut Log) -> Result<Vec<Vec<f64>>> {
         let one =
             |at: usize, counters: &mut Counters| self.trial.vjp(&casts[at], cotangents[at].clone(), counters);
         log.timed(
@@ -295,7 +257,7 @@ impl<'a> Session<'a> {
 
     /// Test error of the state's design with the accurate integrator, in steps that evaluate it. Training over casts: the objective
     /// over constant casts, among which the test set is divided.
-    fn evaluate_test_set(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
+    fn evaluate_test_set(&mut self, state: &State, batch: usize, log: &mut Log) -> Result<Option<f64>> {
         let (trial, problem) = (self.trial, &self.trial.problem);
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
@@ -311,7 +273,6 @@ impl<'a> Session<'a> {
             )?;
             return Ok(self.test_error(&test, log));
         };
-        let TrainingProtocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
         let parts = (casting.over == ObjectiveDomain::Parts).then(|| problem.parts());
         let casts = if parts.is_some() { casting.casts } else { TEST_CASTS.min(trial.test.samples) };
         // the samples of one part of a mixture, or every `casts`-th sample
@@ -328,13 +289,12 @@ impl<'a> Session<'a> {
         let all =
             log.timed(|s| &mut s.simulate, |report| trial.map_parallel(casts, &mut report.counters, one));
         // a failed cast has an error of 100 %
-        let error =
-            |test: Result<Samples, Trouble>| test.map_or(Some(FAILED), |test| self.learner.error(&test));
+        let error = |test: Result<Samples>| test.map_or(Some(FAILED), |test| self.learner.error(&test));
         let errors: Vec<f64> = all.into_iter().filter_map(error).collect();
         if errors.is_empty() || parts.is_some() && errors.len() < casts {
             return Ok(None);
         }
-        let [first, _] = self.initial_losses(casting, going, log)?;
+        let [first, _] = self.initial_losses(casting, batch, log)?;
         log.report.error_test = Some(casting.objective(&errors, first).0);
         Ok(log.report.error_test)
     }
@@ -345,33 +305,30 @@ impl<'a> Session<'a> {
         &self,
         design: &[f64],
         step: u32,
-        going: StepTraining,
+        batch: usize,
         keep_tape: bool,
         log: &mut Log,
-    ) -> Result<Vec<Response>, Trouble> {
-        let (trial, solver) = (self.trial, self.solver());
-        let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts);
-        let over_parts =
-            trial.problem.optimise.casting.is_some_and(|casting| casting.over == ObjectiveDomain::Parts);
+    ) -> Result<Vec<Response>> {
+        let (trial, casting) = (self.trial, self.trial.problem.optimise.casting);
+        let solver = trial.problem.optimise.coarse.unwrap_or(trial.problem.solver);
+        let casts = casting.map_or(1, |casting| casting.casts);
+        let over_parts = casting.is_some_and(|casting| casting.over == ObjectiveDomain::Parts);
         let one = |cast: usize, counters: &mut Counters| {
             let number = u64::from(step) * casts as u64 + cast as u64;
             let forces = match over_parts {
-                true => {
-                    let first = u64::from(step) * going.batch as u64;
-                    trial.problem.part(cast, Purpose::Fresh, first, going.batch)
-                }
-                false => trial.problem.forces(Purpose::Fresh, number * going.batch as u64, going.batch),
+                true => trial.problem.part(cast, Purpose::Fresh, u64::from(step) * batch as u64, batch),
+                false => trial.problem.forces(Purpose::Fresh, number * batch as u64, batch),
             };
-            let cast = trial.problem.optimise.casting.and_then(|_| trial.cast(Casts::Step, number));
+            let cast = casting.and_then(|_| trial.cast(Casts::Step, number));
             trial.simulate_cast(cast.as_ref(), design, forces, &solver, keep_tape, counters)
         };
-        let responses: Result<Vec<Response>, Trouble> = log.timed(
+        let responses: Result<Vec<Response>> = log.timed(
             |s| &mut s.simulate,
             |report| trial.map_parallel(casts, &mut report.counters, one).into_iter().collect(),
         );
         let responses = responses?;
         if step == log.report.step {
-            let heard = |cast: &Response| going.batch as u64 - cast.samples.failures();
+            let heard = |cast: &Response| batch as u64 - cast.samples.failures();
             log.report.fresh_samples += responses.iter().map(heard).sum::<u64>();
         }
         Ok(responses)
@@ -382,7 +339,7 @@ impl<'a> Session<'a> {
 ///
 /// # Errors
 /// If it is not finite: samples without force have no error.
-fn sum(gradients: &[Vec<f64>]) -> Result<Vec<f64>, Trouble> {
+fn sum(gradients: &[Vec<f64>]) -> Result<Vec<f64>> {
     let mut sum = vec![0.0; gradients[0].len()];
     for gradient in gradients {
         sum.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);

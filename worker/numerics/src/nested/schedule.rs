@@ -1,6 +1,7 @@
 //! Schedule of the outer loop: learning rates, test evaluations, and progress.
 
 use crate::trial::{OuterLoop, Problem, TrainingProtocol};
+use std::collections::BTreeSet;
 
 /// Fractions of a loop after which a design search may stop a trial.
 pub const RUNGS: [f64; 2] = [1.0 / 9.0, 1.0 / 3.0];
@@ -16,14 +17,15 @@ pub fn evaluation_step_near(steps: u32, part: f64) -> u32 {
     nearest.max(u32::from(part > 0.0)) * APART
 }
 
-/// Whether a step evaluates the test set; the last of `steps` always does.
-fn is_look(steps: u32, step: u32) -> bool {
-    step + 1 == steps || TEST_FRACTIONS.iter().any(|part| evaluation_step_near(steps, *part) == step)
+/// The steps out of `steps` that evaluate the test set, in ascending order; the last one always does.
+fn evaluated_steps(steps: u32) -> BTreeSet<u32> {
+    let planned = TEST_FRACTIONS.map(|part| evaluation_step_near(steps, part));
+    planned.into_iter().filter(|step| *step < steps).chain(steps.checked_sub(1)).collect()
 }
 
 /// Fraction of `steps` that evaluate the test set.
 pub fn evaluated_fraction(steps: u32) -> f64 {
-    (0..steps).filter(|step| is_look(steps, *step)).count() as f64 / f64::from(steps.max(1))
+    evaluated_steps(steps).len() as f64 / f64::from(steps.max(1))
 }
 
 impl OuterLoop {
@@ -52,7 +54,7 @@ impl OuterLoop {
 
     /// Whether a step evaluates the test set.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
-        is_look(self.iterations, step) || step + 1 == self.iterations
+        evaluated_steps(self.iterations).contains(&step)
     }
 }
 

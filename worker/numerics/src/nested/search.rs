@@ -22,21 +22,17 @@ pub(super) struct GradientFree<'a> {
 impl<'a> GradientFree<'a> {
     /// `None` unless the protocol is a search.
     pub(super) fn new(problem: &'a Problem) -> Option<Self> {
-        problem
-            .optimise
-            .protocol
-            .is_search()
-            .then(|| Self { problem, freedom: problem.body.freedom(problem) })
+        let is_search = problem.optimise.protocol.is_search();
+        is_search.then(|| Self { problem, freedom: problem.body.freedom(problem) })
     }
 
     /// Target α (mm) of candidate `number`, before projection.
     fn target(&self, number: usize) -> Vec<f64> {
         let mut stream = Stream::new(Purpose::Search, self.problem.seed, [number as u64, 0]);
         let mut z = vec![0.0; self.problem.initial.len()];
-        self.freedom
-            .coordinates()
-            .into_iter()
-            .for_each(|i| z[i] = self.problem.optimise.rate * stream.normal());
+        for i in self.freedom.coordinates() {
+            z[i] = self.problem.optimise.rate * stream.normal();
+        }
         self.problem.initial.iter().zip(self.freedom.spread(&z)).map(|(a, b)| a + b).collect()
     }
 

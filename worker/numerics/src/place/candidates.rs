@@ -4,6 +4,7 @@
 //! All candidates use the same simulations, with the chip properties of the sensors.
 
 use super::{CANDIDATES, FIRST_RIDGE, NoPlacement, Placed, Scores};
+use crate::Pool;
 use crate::brain::linear::Sizes;
 use crate::brains::ScaledSamples;
 use crate::brains::ridge::assign_folds;
@@ -31,12 +32,7 @@ impl Candidates {
     ///
     /// # Errors
     /// If the body cannot be simulated, or fewer than two folds contain forces.
-    pub fn new(
-        problem: &Problem,
-        search: &Placing,
-        design: &[f64],
-        pool: &crate::Pool,
-    ) -> Result<Self, Failure> {
+    pub fn new(problem: &Problem, search: &Placing, design: &[f64], pool: &Pool) -> Result<Self, Failure> {
         let units = search.candidates.clone();
         // Without chip masses, which on all candidates would change the body.
         let scene = Scene { sensors: units.clone(), chip: None, ..problem.scene.clone() };
@@ -72,7 +68,7 @@ impl Candidates {
     }
 
     /// Keeps the best single units if there are too many to search.
-    pub fn limit_candidates(self, problem: &Problem, pool: &crate::Pool) -> Self {
+    pub fn limit_candidates(self, problem: &Problem, pool: &Pool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
         }
@@ -88,7 +84,7 @@ impl Candidates {
         chosen: &[usize],
         ridge: f64,
         problem: &Problem,
-        pool: &crate::Pool,
+        pool: &Pool,
     ) -> Vec<(usize, f64)> {
         let others: Vec<usize> = self.units.iter().copied().filter(|unit| !chosen.contains(unit)).collect();
         let rated_group = |group: &[usize]| {
@@ -116,17 +112,10 @@ impl Candidates {
     }
 
     /// Prepares errors of subsets of the units.
-    pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a crate::Pool) -> Scores<'a> {
+    pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a Pool) -> Scores<'a> {
         let ScaledSamples { sizes, x, y, w, .. } = &self.samples;
-        Scores::new(
-            &problem.scene.layout,
-            self.units.clone(),
-            *sizes,
-            [x, y, w],
-            &self.dealt,
-            self.energies,
-            pool,
-        )
+        let (layout, units) = (&problem.scene.layout, self.units.clone());
+        Scores::new(layout, units, *sizes, [x, y, w], &self.dealt, self.energies, pool)
     }
 }
 
@@ -134,7 +123,7 @@ impl Candidates {
 ///
 /// # Errors
 /// If the initial body cannot be simulated, or no placement exists.
-pub fn placed(problem: &Problem, pool: &crate::Pool) -> Result<(Problem, Option<Placed>), Failure> {
+pub fn placed(problem: &Problem, pool: &Pool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
     let candidates =
         Candidates::new(problem, search, &problem.initial, pool)?.limit_candidates(problem, pool);

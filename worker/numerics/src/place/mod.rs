@@ -75,15 +75,12 @@ impl<'a> Scores<'a> {
         pool: &'a crate::Pool,
     ) -> Self {
         assert!(sizes.channels.is_multiple_of(units.len()), "as many channels a unit");
-        let channels_per_unit = sizes.channels / units.len();
-        let folds = dealt.iter().max().map_or(0, |most| most + 1);
-        let spectra = if energies {
-            let sizes = Sizes { channels: (channels_per_unit + 1) * units.len(), ..sizes };
-            Spectra::new(sizes, [&with_energies(x, channels_per_unit, units.len()), f, w], dealt, folds, pool)
-        } else {
-            Spectra::new(sizes, [x, f, w], dealt, folds, pool)
-        };
-        Self { spectra, layout, units, each: channels_per_unit + usize::from(energies), energies, pool }
+        let own = sizes.channels / units.len();
+        let each = own + usize::from(energies);
+        let sizes = Sizes { channels: each * units.len(), ..sizes };
+        let with_energies = energies.then(|| with_energies(x, own, units.len()));
+        let spectra = Spectra::new(sizes, [with_energies.as_deref().unwrap_or(x), f, w], dealt, pool);
+        Self { spectra, layout, units, each, energies, pool }
     }
 
     /// Cross-validated error (%) of a linear decoder of these units; infinite if λ gives no solution.
@@ -154,10 +151,9 @@ impl<'a> Scores<'a> {
         let &Placing { ref candidates, turn, .. } = search;
         let alone = self.errors_with_each(&[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(NoPlacement)?.0;
-        let ridge = self.ridge(&[first]);
         // In later turns the first unit stays; in turn 0 all can be exchanged.
         let kept = usize::from(turn > 0);
-        let (chosen, ridge) = self.grown(first, ridge, search)?;
+        let (chosen, ridge) = self.grown(first, search)?;
         let (chosen, runner_up, ridge) = self.exchange_units(chosen, kept, ridge, search);
         let units = self.by_worth(chosen, kept, ridge);
         let errors: Vec<f64> = (1..=units.len()).map(|m| self.error(&units[..m], ridge)).collect();
@@ -170,13 +166,8 @@ impl<'a> Scores<'a> {
     }
 
     /// Adds the unit that lowers the error most, and updates λ, until there are enough.
-    fn grown(
-        &self,
-        first: usize,
-        mut ridge: f64,
-        search: &Placing,
-    ) -> Result<(Vec<usize>, f64), NoPlacement> {
-        let mut chosen = vec![first];
+    fn grown(&self, first: usize, search: &Placing) -> Result<(Vec<usize>, f64), NoPlacement> {
+        let (mut chosen, mut ridge) = (vec![first], self.ridge(&[first]));
         while chosen.len() < search.sensors {
             let next = self.errors_with_each(&chosen, &search.candidates, search.spacing, ridge);
             chosen.push(next.first().ok_or(NoPlacement)?.0);

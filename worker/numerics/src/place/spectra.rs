@@ -43,18 +43,14 @@ struct Gram {
 }
 
 impl Spectra {
-    /// From signals x (N, T, C) and forces f (N, T, K); sample i has weight w_i and is in fold `dealt[i]` of `folds`.
+    /// From signals x (N, T, C) and forces f (N, T, K); sample i has weight w_i and is in fold `dealt[i]`.
     ///
     /// # Panics
     /// If lengths do not match one N.
-    pub(super) fn new(
-        sizes: Sizes,
-        [x, f, w]: [&[f64]; 3],
-        dealt: &[usize],
-        folds: usize,
-        pool: &Pool,
-    ) -> Self {
+    pub(super) fn new(sizes: Sizes, [x, f, w]: [&[f64]; 3], dealt: &[usize], pool: &Pool) -> Self {
         let Sizes { instants, channels, outputs } = sizes;
+        let own = members(dealt);
+        let folds = own.len();
         assert!(x.len() == w.len() * instants * channels && f.len() == w.len() * instants * outputs);
         let scaled = |values: &[f64]| -> Vec<f64> {
             let one = values.len() / w.len();
@@ -77,7 +73,6 @@ impl Spectra {
             shares.push(share(b));
         }
         let x = transform(&x, instants, channels, shares.len());
-        let own = members(dealt);
         let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
         for b in 0..shares.len() {
             pool.heartbeat().beat();
@@ -127,10 +122,8 @@ impl Spectra {
             for ((part, power), error) in parts.iter().zip(&self.power).zip(&mut errors) {
                 let scale = (self.power[self.folds] - power).recip();
                 part.write_submatrix(chosen, &mut own);
-                lower
-                    .iter_mut()
-                    .zip(total.iter().zip(&own))
-                    .for_each(|(m, (all, own))| *m = scale * (all - own));
+                let rest = total.iter().zip(&own);
+                lower.iter_mut().zip(rest).for_each(|(m, (all, own))| *m = scale * (all - own));
                 lower.iter_mut().step_by(n + 1).for_each(|d| *d += ridge);
                 part.cut_right(chosen, &forces, &mut judged);
                 let rest = total_right.iter().zip(&judged);

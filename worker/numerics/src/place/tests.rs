@@ -57,7 +57,7 @@ fn errors_are_those_of_least_squares_over_lags() {
         }
         all += power(&unseen);
     }
-    let found = Spectra::new(sizes, [&x, &f, &w], &dealt, folds, &crate::Pool::new(1).unwrap())
+    let found = Spectra::new(sizes, [&x, &f, &w], &dealt, &crate::Pool::new(1).unwrap())
         .error(&chosen, ridge)
         .unwrap();
     assert!((found / (100.0 * wrong / all) - 1.0).abs() < 1e-10, "{found} {}", 100.0 * wrong / all);

@@ -112,15 +112,12 @@ pub struct StrikeScatter {
 impl StrikeScatter {
     /// Deviating blows (N, K); each depends on (purpose, seed, sample, panel) only, not on the forces.
     pub fn strikes(&self, panels: &[Panel], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<Strike> {
-        let strike = |sample: u64, k: usize| {
+        let strike = |(sample, k): (u64, usize)| {
             let mut stream = Stream::new(Purpose::Strike, seed, [(purpose as u64) << 32 | sample, k as u64]);
             let [offset, angle] = [self.offset, self.angle].map(|deviation| deviation * stream.normal());
             panels[k].deviated_strike(offset, angle)
         };
-        samples
-            .flat_map(|sample| (0..panels.len()).map(move |k| (sample, k)))
-            .map(|(i, k)| strike(i, k))
-            .collect()
+        samples.flat_map(|sample| (0..panels.len()).map(move |k| (sample, k))).map(strike).collect()
     }
 }
 

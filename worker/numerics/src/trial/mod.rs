@@ -19,7 +19,7 @@ pub use body::{BodyFailure, BodyModel, BodyTape, Pilot, ScenePolygons, Simulatio
 pub use chip::{Chip, ChipErrors, Size};
 pub(crate) use mould::DesignWithSolver;
 pub(crate) use outcome::as_ref_result;
-pub use outcome::{Counters, Failure, Trouble};
+pub use outcome::{Counters, Failure, Result, Trouble};
 pub use problem::{ForceSets, Placing, Problem};
 pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
@@ -63,7 +63,7 @@ pub struct PreparedTrial<'a> {
     /// The initial body under the training forces; determines the scales.
     pub(crate) initial: Samples,
     /// λ of the linear decoder on `initial`, once chosen.
-    pub(crate) initial_ridge: OnceLock<Result<f64, Trouble>>,
+    pub(crate) initial_ridge: OnceLock<Result<f64>>,
 }
 
 /// The choice of a trial's integrators.
@@ -116,10 +116,8 @@ impl<'a> PreparedTrial<'a> {
     fn with_chip(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let sensors = &problem.scene.sensors;
-        assert!(
-            (1..sensors.len()).all(|i| !sensors[..i].contains(&sensors[i])),
-            "a unit twice in {sensors:?}"
-        );
+        let twice = (1..sensors.len()).any(|i| sensors[..i].contains(&sensors[i]));
+        assert!(!twice, "a unit twice in {sensors:?}");
         let (mut problem, asked) = (problem.clone(), problem.solver);
         let usual = pilot(&problem, &problem.initial, &asked, pool);
         let steps = problem.optimise.coarse.filter(|_| problem.optimise.iterations > 0);
@@ -169,15 +167,12 @@ impl<'a> PreparedTrial<'a> {
         };
         let likeness =
             problem.variation.map_or(Vec::new(), |v| v.correlation_factor(&problem.scene.layout, pool));
+        let usual = Pilot { counters: dynamics::SimulationCounts::default(), ..usual };
+        let integrators = Integrators { reason, pilots, initial: usual, requested: asked };
         Ok(Self {
             problem,
             pool,
-            integrators: Integrators {
-                reason,
-                pilots,
-                initial: Pilot { counters: dynamics::SimulationCounts::default(), ..usual },
-                requested: asked,
-            },
+            integrators,
             train,
             test,
             scales,
@@ -218,7 +213,7 @@ impl<'a> PreparedTrial<'a> {
         solver: &IntegratorSettings,
         keep_tape: bool,
         counters: &mut Counters,
-    ) -> Result<Response, Trouble> {
+    ) -> Result<Response> {
         let scene = &self.problem.scene;
         let motion = simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
         counters.dynamics += motion.counters;
@@ -254,7 +249,7 @@ impl<'a> PreparedTrial<'a> {
         solver: &IntegratorSettings,
         keep_tape: bool,
         counters: &mut Counters,
-    ) -> Result<Response, Trouble> {
+    ) -> Result<Response> {
         let scene = &self.problem.scene;
         let own = cast.map(|cast| (cast.scene(scene), cast.design(design)));
         let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
@@ -306,7 +301,7 @@ impl<'a> PreparedTrial<'a> {
         Response { motion, samples, chips }: &Response,
         mut cotangent: Vec<f64>,
         counters: &mut Counters,
-    ) -> Result<Vec<f64>, Trouble> {
+    ) -> Result<Vec<f64>> {
         if let Some(chip) = &self.chip {
             chip.disturb_vjp(&mut cotangent, &samples.signals);
         }
@@ -361,22 +356,17 @@ pub fn simulated(
 ) -> SimulationOutput {
     let (scene, forces) = problem.in_motion(scene, forces);
     let double = problem.decoder_kind == DecoderKind::Inverse;
-    problem.body.simulate(
-        &scene,
-        &SimulationInput { design, forces: &forces, solver, keep_tape, double },
-        pool,
-    )
+    let input = SimulationInput { design, forces: &forces, solver, keep_tape, double };
+    problem.body.simulate(&scene, &input, pool)
 }
 
 /// Checks that all samples succeeded.
 ///
 /// # Errors
 /// The outcome of the first failed sample.
-pub fn check_outcomes(outcomes: &[Outcome]) -> Result<(), Trouble> {
-    match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
-        Some(&outcome) => Err(Trouble::Simulation(outcome)),
-        None => Ok(()),
-    }
+pub fn check_outcomes(outcomes: &[Outcome]) -> Result<()> {
+    let failed = outcomes.iter().find(|&&outcome| outcome != Outcome::Ok);
+    failed.map_or(Ok(()), |&outcome| Err(Trouble::Simulation(outcome)))
 }
 
 /// One of `FAILURE_RATIO` samples may fail, rounded to the nearest integer.
@@ -386,13 +376,10 @@ const FAILURE_RATIO: usize = 32;
 ///
 /// # Errors
 /// If too many samples failed: the outcome of the first.
-pub fn check_failures(outcomes: &[Outcome]) -> Result<(), Trouble> {
+pub fn check_failures(outcomes: &[Outcome]) -> Result<()> {
     let failed = outcomes.iter().filter(|&&outcome| outcome != Outcome::Ok).count();
-    if failed > (outcomes.len() + FAILURE_RATIO / 2) / FAILURE_RATIO {
-        check_outcomes(outcomes)
-    } else {
-        Ok(())
-    }
+    let most = (outcomes.len() + FAILURE_RATIO / 2) / FAILURE_RATIO;
+    if failed > most { check_outcomes(outcomes) } else { Ok(()) }
 }
 
 /// Sets the forces of failed samples to zero; returns which samples failed and had forces.

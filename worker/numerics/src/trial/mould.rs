@@ -1,6 +1,6 @@
 //! A design and its solver, from which the body and its casts are simulated after training.
 
-use super::{Counters, PreparedTrial, Samples, Trouble};
+use super::{Counters, PreparedTrial, Result, Samples};
 use crate::dynamics::{Forces, IntegratorSettings};
 use crate::variation::Cast;
 
@@ -19,12 +19,7 @@ impl DesignWithSolver<'_> {
     ///
     /// # Errors
     /// If too many samples fail.
-    pub fn samples(
-        &self,
-        cast: Option<&Cast>,
-        forces: Forces,
-        counters: &mut Counters,
-    ) -> Result<Samples, Trouble> {
+    pub fn samples(&self, cast: Option<&Cast>, forces: Forces, counters: &mut Counters) -> Result<Samples> {
         let Self { trial, design, solver } = self;
         Ok(trial.simulate_cast(cast, design, forces, solver, false, counters)?.samples)
     }

@@ -61,8 +61,11 @@ impl Trouble {
     }
 }
 
+/// A result whose error is a [`Trouble`] unless another is given.
+pub type Result<T, E = Trouble> = std::result::Result<T, E>;
+
 /// Borrows a result and copies its error.
-pub(crate) fn as_ref_result<T>(found: &Result<T, Trouble>) -> Result<&T, Trouble> {
+pub(crate) fn as_ref_result<T>(found: &Result<T>) -> Result<&T> {
     found.as_ref().map_err(|trouble| *trouble)
 }
 

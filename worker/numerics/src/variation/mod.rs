@@ -123,7 +123,7 @@ impl Deviations {
         likeness
     }
 
-    /// Draws a cast of a body with this layout, number of sensors and [`Variation::likeness`].
+    /// Draws a cast of a body with this layout, number of sensors and [`Deviations::correlation_factor`].
     pub fn cast(
         &self,
         seed: u64,
@@ -168,7 +168,7 @@ pub(crate) fn correlate(likeness: &[f64], own: &[f64]) -> Vec<f64> {
     (0..own.len()).map(shared).collect()
 }
 
-/// Applies Lᵀ; the transpose of [`shared`].
+/// Applies Lᵀ; the transpose of [`correlate`].
 pub(crate) fn shared_vjp(likeness: &[f64], shared: &[f64]) -> Vec<f64> {
     let groups = shared.len() / 2;
     let own = |i: usize| {

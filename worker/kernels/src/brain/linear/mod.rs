@@ -241,12 +241,6 @@ impl Linear {
         }
         result
     }
-
-    fn samples(&self, x: &[f64]) -> usize {
-        let one = self.sizes.instants * self.sizes.channels;
-        assert!(x.len().is_multiple_of(one), "{} signals of {:?}", x.len(), self.sizes);
-        x.len() / one
-    }
 }
 
 /// The smallest even number of at least `least` without a prime factor above 5.

@@ -165,7 +165,8 @@ impl Linear {
     /// If the lengths do not match the same N.
     pub fn weights_vjp(&self, x: &[f64], cotangent: &[f64]) -> Self {
         let Sizes { instants, channels, outputs } = self.sizes;
-        let samples = self.samples(x);
+        let samples = x.len() / (instants * channels);
+        assert!(x.len() == samples * instants * channels, "{} signals of {:?}", x.len(), self.sizes);
         let len = samples * instants * outputs;
         assert_eq!(cotangent.len(), len, "cotangent does not match {samples} samples");
         let ones = vec![1.0; samples];

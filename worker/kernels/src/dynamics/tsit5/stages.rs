@@ -31,43 +31,25 @@ const E: [f64; 7] = [
     0.015151515151515152,
 ];
 
-/// ā = a·a.
-const fn squared() -> [[f64; 6]; 7] {
-    let mut s = [[0.0; 6]; 7];
-    let mut i = 0;
-    while i < 7 {
-        let mut m = 0;
-        while m < 6 {
-            let mut j = 0;
-            while j < i {
-                s[i][m] += A[i][j] * A[j][m];
-                j += 1;
-            }
-            m += 1;
-        }
-        i += 1;
-    }
-    s
-}
-/// ā.
-pub const A2: [[f64; 6]; 7] = squared();
-
-/// Σ_j e_j a_jm, with e = `E`.
-const fn error_squared() -> [f64; 7] {
-    let mut s = [0.0; 7];
+/// Σ_j row_j a_jm for each m.
+const fn by_a(row: &[f64]) -> [f64; 6] {
+    let mut sums = [0.0; 6];
     let mut m = 0;
     while m < 6 {
         let mut j = 0;
-        while j < 7 {
-            s[m] += E[j] * A[j][m];
+        while j < row.len() {
+            sums[m] += row[j] * A[j][m];
             j += 1;
         }
         m += 1;
     }
-    s
+    sums
 }
+/// ā = a·a.
+pub const A2: [[f64; 6]; 7] =
+    [by_a(&A[0]), by_a(&A[1]), by_a(&A[2]), by_a(&A[3]), by_a(&A[4]), by_a(&A[5]), by_a(&A[6])];
 /// Weights of the displacement's error.
-const E2: [f64; 7] = error_squared();
+const E2: [f64; 6] = by_a(&E);
 
 /// State of stage i = 1…6 (6: the new state) of the units `within`, from the accelerations of the preceding stages.
 #[inline(always)]

@@ -172,10 +172,9 @@ pub(super) fn descend(
                 break;
             }
             let which: Vec<usize> = proposals.iter().map(|(i, _)| *i).collect();
-            which
-                .into_iter()
-                .zip(evaluator.at(proposals))
-                .for_each(|(i, point)| descents[i].accept_or_damp(point));
+            for (i, point) in which.into_iter().zip(evaluator.at(proposals)) {
+                descents[i].accept_or_damp(point);
+            }
         }
         // A descent that used all evaluations may have discarded its B.
         descents.iter_mut().for_each(|descent| evaluator.curve(descent));
@@ -201,7 +200,7 @@ impl Evaluator<'_> {
         let (c, unknowns) = (noise.channels(), prior.unknowns());
         let len = *n * c;
         let histories = prior.forces(at.iter().map(|(_, z)| z.as_slice()));
-        let (found, signals) = model.simulate(&histories, *n, self.counters);
+        let (found, signals) = model.simulate(&histories, *n, true, self.counters);
         let residuals: Vec<Vec<f64>> = at
             .iter()
             .zip(signals.chunks_exact(len))
@@ -242,7 +241,7 @@ impl Evaluator<'_> {
         let (len, all) = (descent.at.residual.len(), descent.at.z.len());
         let (histories, steps) = prior.around(&descent.at.z);
         let farther = (*n + descent.further_readings.0 / c).min(model.scene.instants);
-        let found = model.coarse(&histories, farther, self.counters);
+        let (_, found) = model.simulate(&histories, farther, false, self.counters);
         let one = farther * c;
         let jacobian = Mat::from_fn(one, all, |i, k| match k < unknowns {
             true => (found[(1 + k) * one + i] - found[i]) / (steps[k] * noise.white[i % c]),
@@ -257,18 +256,11 @@ impl Evaluator<'_> {
 }
 
 impl Descent {
-    fn new(at: Point, Start { known, jacobian_ahead: coming, .. }: Start) -> Self {
+    fn new(at: Point, Start { known, jacobian_ahead: further_readings, .. }: Start) -> Self {
         let ending = at.phi.is_infinite().then_some(Ending::StartFailed);
         let (curvature, age) = known.unzip();
-        Self {
-            at,
-            curvature,
-            age: age.unwrap_or(0),
-            further_readings: coming,
-            damping: 0.0,
-            steps: 0,
-            ending,
-        }
+        let age = age.unwrap_or(0);
+        Self { at, curvature, age, further_readings, damping: 0.0, steps: 0, ending }
     }
 
     /// −ln of the marginal likelihood of the readings, by Laplace's method: Φ + ½ ln |B|.

@@ -113,26 +113,18 @@ impl<'a> Inverse<'a> {
         let linear = Fitted::of(trial, known)?;
         let said = linear.predict(&known.signals);
         let square = said.iter().zip(&known.targets).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
-        let start_error = (square / said.len() as f64).sqrt().max(f64::MIN_POSITIVE);
-        let recorded = problem.stimuli.source.is_recorded();
-        let histories = match recorded {
+        let linear_error = (square / said.len() as f64).sqrt().max(f64::MIN_POSITIVE);
+        let histories = match problem.stimuli.source.is_recorded() {
             true => trial.train.clone(),
             false => problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN),
         };
-        let hypotheses = guesses(problem, &histories);
-        if hypotheses.is_empty() {
+        let guesses = guesses(problem, &histories);
+        if guesses.is_empty() {
             return Err(Trouble::Singular);
         }
         let model = Model::new(trial, design, solver, twin.map(|twin| &twin.cast));
-        Ok(Self {
-            trial,
-            model,
-            guesses: hypotheses,
-            noise: Noise::of(trial, twin.map_or(&[], |twin| &twin.noise)),
-            linear,
-            linear_error: start_error,
-            counters: Counters::default(),
-        })
+        let noise = Noise::of(trial, twin.map_or(&[], |twin| &twin.noise));
+        Ok(Self { trial, model, guesses, noise, linear, linear_error, counters: Counters::default() })
     }
 
     /// As [`Inverse::new`]; tunes the solver and simulates the training samples.
@@ -315,7 +307,7 @@ impl<'a> Inverse<'a> {
         let (from, instants) = (of.start, of.len());
         let mut deviations = vec![0.0; instants * panels];
         // One column per instant, panel by panel, so that B is factored once.
-        let struck = prior.struck();
+        let struck = &prior.struck;
         let mut right = Mat::<f64>::zeros(descent.at.z.len(), struck.len() * instants);
         for i in 0..struck.len() {
             let mut own = right.as_mut().submatrix_mut(i * directions, i * instants, directions, instants);

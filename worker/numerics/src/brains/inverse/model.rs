@@ -22,7 +22,7 @@ pub(super) struct Model<'a> {
 /// Tolerance of the steps of differences, relative to that of signals.
 const COARSE: f64 = 30.0;
 /// Largest tolerance of these steps.
-const COARSEST: Accuracy = Accuracy(0.05);
+const COARSEST: f64 = 0.05;
 
 impl<'a> Model<'a> {
     /// Model of a design, simulated with the solver tuned on it, or of a cast of it.
@@ -39,36 +39,22 @@ impl<'a> Model<'a> {
         };
         let [plan, coarse] = {
             let (moving, forces) = problem.in_motion(&scene, &trial.train);
-            let accuracy = Accuracy(COARSE * solver.accuracy.0).min(COARSEST);
+            let accuracy = Accuracy((COARSE * solver.accuracy.0).min(COARSEST));
             let coarse = IntegratorSettings { method: Integrator::Auto, accuracy, ..*solver };
             [solver.in_equal_steps(), coarse].map(|solver| planned(&moving, &design, &forces, &solver))
         };
         Self { problem, pool, scene, design, chips, plan: plan.double(), coarse: coarse.double() }
     }
 
-    /// Simulates up to instant n; returns signals (N, n, channels) without noise.
+    /// Simulates up to instant n; returns signals (N, n, channels) without noise. Without a tape, with coarse steps.
     pub(super) fn simulate(
         &self,
         forces: &Forces,
         n: usize,
-        counters: &mut Counters,
-    ) -> (Simulation, Vec<f64>) {
-        self.run(forces, n, &self.plan, true, counters)
-    }
-
-    /// As [`Model::simulate`], signals only, with coarse steps.
-    pub(super) fn coarse(&self, forces: &Forces, n: usize, counters: &mut Counters) -> Vec<f64> {
-        self.run(forces, n, &self.coarse, false, counters).1
-    }
-
-    fn run(
-        &self,
-        forces: &Forces,
-        n: usize,
-        plan: &IntegrationPlan,
         keep_tape: bool,
         counters: &mut Counters,
     ) -> (Simulation, Vec<f64>) {
+        let plan = if keep_tape { &self.plan } else { &self.coarse };
         let (scene, forces) = forces.beginning(&self.scene, n);
         let (scene, forces) = self.problem.in_motion(&scene, &forces);
         let mut found = run(&scene, &self.design, &forces, plan, keep_tape, self.pool);

@@ -16,7 +16,7 @@ pub(super) struct Prior {
     /// Number of panels K.
     panels: usize,
     /// The struck panels.
-    struck: Vec<usize>,
+    pub(super) struck: Vec<usize>,
     /// μ on the clock of the forces (R + 1) (N).
     mean: Vec<f64>,
     /// D (R + 1, r) (N).
@@ -96,11 +96,6 @@ impl Prior {
         });
         let struck = (0..forces.panels).collect();
         (!kept.is_empty()).then_some(Self { panels: forces.panels, struck, mean, modes })
-    }
-
-    /// The struck panels.
-    pub(super) fn struck(&self) -> &[usize] {
-        &self.struck
     }
 
     /// Length of z: r per struck panel.

@@ -132,7 +132,7 @@ fn blows_are_read_on_the_panel_that_they_strike() {
         let trial = PreparedTrial::new(&problem, &pool).expect("a trial");
         let brain = || Inverse::of(&trial, &problem.initial, None).expect("a brain");
         let [mut own, mut all] = [brain(), brain()];
-        assert_eq!(own.guesses.iter().map(|guess| guess.prior.struck()).collect::<Vec<_>>(), [[0], [1]]);
+        assert_eq!(own.guesses.iter().map(|guess| &guess.prior.struck[..]).collect::<Vec<_>>(), [[0], [1]]);
         let prior =
             Prior::new(&problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN)).expect("forces that differ");
         all.guesses = vec![Hypothesis::of(&problem, prior, 0.0)];

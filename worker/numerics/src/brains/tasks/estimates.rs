@@ -11,7 +11,7 @@ use crate::Pool;
 use crate::brain::linear::Sizes;
 use crate::brain::prediction_error;
 use crate::student::student;
-use crate::trial::{Decoder, PreparedTrial, Samples, Trouble, pick};
+use crate::trial::{Decoder, PreparedTrial, Result, Samples, Trouble, pick};
 
 /// Result of a task.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -40,6 +40,9 @@ pub struct TaskEstimate {
     /// Mean error over casts of the body, with the readout fitted to the body as designed.
     pub casts: Option<f64>,
 }
+
+/// Labels that a readout estimates, with its name; calibration of classes.
+type Estimated = (&'static str, Labels, Option<Calibration>);
 
 /// Samples of a body.
 struct Observations {
@@ -98,12 +101,8 @@ impl<'a> Fits<'a> {
         Self { labeller, networks: networks.map(train), known: labels, readout }
     }
 
-    /// Labels that readouts and networks estimate from the signals of test samples, per task; calibrations of classes.
-    fn estimates(
-        &self,
-        test: &Observations,
-        truths: &[Labels],
-    ) -> Vec<Vec<(&'static str, Labels, Option<Calibration>)>> {
+    /// Labels that readouts and networks estimate from the signals of test samples, per task.
+    fn estimates(&self, test: &Observations, truths: &[Labels]) -> Vec<Vec<Estimated>> {
         let Some(readout) = &self.readout else { return Vec::new() };
         let direct = readout.estimates(&test.signals).into_iter();
         let direct = direct.zip(readout.calibrations(&self.known, &test.signals, truths));
@@ -133,8 +132,8 @@ impl<'a> Fits<'a> {
 pub(crate) fn task_estimates(
     trial: &PreparedTrial,
     sets: &[Samples; 3],
-    casts: impl Iterator<Item = Result<Samples, Trouble>>,
-) -> Result<Vec<TaskEstimate>, Trouble> {
+    casts: impl Iterator<Item = Result<Samples>>,
+) -> Result<Vec<TaskEstimate>> {
     let Sizes { instants, channels, .. } = sets[0].sizes;
     let ([train, _, holdout], scales) = (trial.problem.parts(), &trial.scales);
     let window = Window::of(trial);
@@ -161,10 +160,10 @@ pub(crate) fn task_estimates(
         Ok(tasks(&fits, &test, &fitted.predict(&whole)))
     };
     let mut found = estimates(&sets[2])?;
-    let casts: Vec<Result<Vec<TaskEstimate>, Trouble>> = casts.map(|cast| estimates(&cast?)).collect();
+    let casts: Vec<Result<Vec<TaskEstimate>>> = casts.map(|cast| estimates(&cast?)).collect();
     for (n, nominal) in found.iter_mut().enumerate().filter(|_| !casts.is_empty()) {
         let error =
-            |cast: &Result<Vec<TaskEstimate>, _>| cast.as_ref().map_or(nominal.trivial, |own| own[n].error);
+            |cast: &Result<Vec<TaskEstimate>>| cast.as_ref().map_or(nominal.trivial, |own| own[n].error);
         nominal.casts = Some(casts.iter().map(error).sum::<f64>() / casts.len() as f64);
     }
     Ok(found)
@@ -181,31 +180,18 @@ fn tasks(fits: &Fits, test: &Observations, decoded: &[f64]) -> Vec<TaskEstimate>
     for (((task, known), truth), read) in fits.known.iter().zip(&truths).zip(from_signals) {
         let task = *task;
         let decoded = test.labels(labeller, task, decoded);
-        let trivial = error_of(task, truth, &vec![trivial(task, known); truth.len()]);
+        let trivial = TaskEstimate::of(task, truth, &vec![trivial(task, known); truth.len()]).error;
         // forces do not determine the part that generated them
         let decoded = (task != SensingTask::Kind).then_some(("decoded", decoded, None));
         for (readout, estimated, calibration) in read.into_iter().chain(decoded) {
-            let Score { error, interval, score } = Score::of(task, truth, &estimated);
             let least = match task {
                 SensingTask::Panel | SensingTask::Count | SensingTask::Kind => 50.0 / truth.len() as f64,
                 SensingTask::Onset => 500.0 * labeller.interval / truth.len() as f64,
                 SensingTask::Position | SensingTask::Peak | SensingTask::Impulse => 0.0,
             };
             let detail = detail(task, truth, &estimated, &struck);
-            let (task, samples) = (task.name(), truth.len());
-            found.push(TaskEstimate {
-                task,
-                readout,
-                error,
-                interval,
-                least,
-                trivial,
-                samples,
-                score,
-                detail,
-                calibration,
-                casts: None,
-            });
+            let scored = TaskEstimate::of(task, truth, &estimated);
+            found.push(TaskEstimate { readout, least, trivial, detail, calibration, ..scored });
         }
     }
     found
@@ -245,21 +231,8 @@ fn of_forces(truth: &[f64], said: &[f64], labeller: &Labeller, samples: usize) -
     let (error, interval) = mean(&errors);
     let average = truth.iter().sum::<f64>() / truth.len() as f64;
     let score = 1.0 - squares(truth, said) / truth.iter().map(|f| (f - average).powi(2)).sum::<f64>();
-    TaskEstimate {
-        task: ("forces", "%"),
-        readout: "decoded",
-        error,
-        interval,
-        trivial: 100.0,
-        samples: errors.len(),
-        score,
-        ..TaskEstimate::default()
-    }
-}
-
-/// Error of estimated labels in the task's unit.
-pub(super) fn error_of(task: SensingTask, truth: &Labels, estimated: &Labels) -> f64 {
-    Score::of(task, truth, estimated).error
+    let (task, readout, samples) = (("forces", "%"), "decoded", errors.len());
+    TaskEstimate { task, readout, error, interval, trivial: 100.0, samples, score, ..TaskEstimate::default() }
 }
 
 /// Label without use of signals.
@@ -282,18 +255,12 @@ fn mean(errors: &[f64]) -> (f64, [f64; 2]) {
     (error, [(error - half).max(0.0), error + half])
 }
 
-/// An error and its interval; balanced accuracy (%) or R².
-struct Score {
-    error: f64,
-    interval: [f64; 2],
-    score: f64,
-}
-
-impl Score {
+impl TaskEstimate {
     /// Compares estimated with true labels: Wilson's interval for classes, Student's t for values. The error of a position is a
-    /// distance.
-    fn of(task: SensingTask, truth: &Labels, found: &Labels) -> Self {
+    /// distance. Sets only the task, the number of samples, the error, its interval and the score.
+    pub(super) fn of(task: SensingTask, truth: &Labels, found: &Labels) -> Self {
         let n = truth.len() as f64;
+        let own = Self { task: task.name(), samples: truth.len(), ..Self::default() };
         let pairs = || truth.iter().zip(found);
         if task.is_class() {
             let error_rate = pairs().filter(|(a, b)| a != b).count() as f64 / n;
@@ -308,18 +275,17 @@ impl Score {
                 own.iter().filter(|right| **right).count() as f64 / own.len() as f64
             };
             let score = 100.0 * classes.iter().map(recall).sum::<f64>() / classes.len() as f64;
-            return Self { error: 100.0 * error_rate, interval, score };
+            return Self { error: 100.0 * error_rate, interval, score, ..own };
         }
         let error = |(a, b): (&Vec<f64>, &Vec<f64>)| match task {
             SensingTask::Position => squares(a, b).sqrt(),
             _ => a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64,
         };
         let (error, interval) = mean(&pairs().map(error).collect::<Vec<_>>());
-        let average: Vec<f64> =
-            (0..truth[0].len()).map(|k| truth.iter().map(|label| label[k]).sum::<f64>() / n).collect();
+        let average = trivial(task, truth);
         let variation: f64 = truth.iter().map(|label| squares(label, &average)).sum();
         let score = 1.0 - pairs().map(|(a, b)| squares(a, b)).sum::<f64>() / variation;
-        Self { error, interval, score }
+        Self { error, interval, score, ..own }
     }
 }
 

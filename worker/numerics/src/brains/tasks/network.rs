@@ -144,11 +144,8 @@ fn loss(weights: &[f64], x: &DMatrix<f64>, y: &DMatrix<f64>, is_class: bool) -> 
             mean
         }
     };
-    let c = DMatrix::from_column_slice(
-        HIDDEN,
-        y.ncols(),
-        &weights[(x.ncols() + 1) * HIDDEN..][..HIDDEN * y.ncols()],
-    );
+    let c = &weights[(x.ncols() + 1) * HIDDEN..][..HIDDEN * y.ncols()];
+    let c = DMatrix::from_column_slice(HIDDEN, y.ncols(), c);
     let inner = (&delta * c.transpose()).zip_map(&hidden, |d, h| d * (1.0 - h * h));
     let sums = |m: &DMatrix<f64>| m.row_sum().iter().copied().collect::<Vec<_>>();
     let parts = [

@@ -1,8 +1,7 @@
 //! Readouts of the trial's tasks as weights of the signals, for a device.
 
-use super::estimates::error_of;
-use super::{Labelled, Labels, Readout, SensingTask, greatest};
-use crate::trial::{PreparedTrial, Samples, Trouble, pick};
+use super::{Labelled, Labels, Readout, SensingTask, TaskEstimate, greatest};
+use crate::trial::{PreparedTrial, Result, Samples, pick};
 
 /// A readout as weights of sums of the signals over blocks of instants: output = constant + Σ weight · sum / scale.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +26,7 @@ impl ReadoutWeights {
 
     /// Held-out error in the task's unit of estimated labels.
     pub fn error(&self, truth: &Labels, estimated: &Labels) -> f64 {
-        error_of(self.task, truth, estimated)
+        TaskEstimate::of(self.task, truth, estimated).error
     }
 }
 
@@ -71,7 +70,7 @@ pub struct TaskReadouts {
 ///
 /// # Errors
 /// If the training samples are too few or too similar.
-pub(crate) fn task_readouts(trial: &PreparedTrial, sets: &[Samples; 3]) -> Result<TaskReadouts, Trouble> {
+pub(crate) fn task_readouts(trial: &PreparedTrial, sets: &[Samples; 3]) -> Result<TaskReadouts> {
     let [train, _, holdout] = trial.problem.parts();
     let known = Labelled::of(trial, &sets[0], &train);
     let sums = known.window.sums(&known.signals);
@@ -79,15 +78,11 @@ pub(crate) fn task_readouts(trial: &PreparedTrial, sets: &[Samples; 3]) -> Resul
     let Labelled { used, window, starts, tasks, .. } = Labelled::of(trial, &sets[2], &holdout);
     let signals = pick(&sets[2].signals, sets[2].count(), &used);
     let scales = trial.scales.channels.clone();
+    let thresholds = window.thresholds.iter().zip(&scales).map(|(least, scale)| least * scale).collect();
     Ok(TaskReadouts {
         readouts,
         window: window.len,
-        thresholds: window
-            .thresholds
-            .iter()
-            .zip(&scales)
-            .map(|(threshold, scale)| threshold * scale)
-            .collect(),
+        thresholds,
         block: window.block(),
         scales,
         sums: window.sums(&window.signals(&signals, &starts)),
